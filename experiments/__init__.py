@@ -1,2 +1,4 @@
-"""The laboratory: measurements, comparisons, the figures and tables of the pages. Not part of the
-installed package."""
+"""The laboratory: measurements, comparisons, the figures and tables of the pages.
+
+Not part of the installed package.
+"""

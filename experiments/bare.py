@@ -1,5 +1,4 @@
-"""What `async-tnt train` gives without any option but the sensor's size: the test parts of three
-small data sets.
+"""What `async-tnt train` gives with no option but the sensor's size, on three small data sets.
 
     python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
                                [--seeds N] [--out FOLDER] [--json FILE]

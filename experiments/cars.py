@@ -141,8 +141,10 @@ def measure(
 def with_earlier(
     report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]
 ) -> dict[str, Any]:
-    """A report, and the recipes of an earlier one that it does not have: first those that `order`
-    names, in that order."""
+    """A report with those recipes of an earlier report that it does not have.
+
+    The recipes that `order` names come first, in that order.
+    """
     recipes = before["recipes"] | report["recipes"]
     names = [name for name in dict.fromkeys([*order, *recipes]) if name in recipes]
     return {**report, "recipes": {name: recipes[name] for name in names}}
@@ -161,8 +163,7 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
 
 @cache
 def by_crop_size(train: Path, test: Path) -> float:
-    """Accuracy on the test part of the width and the height of a recording alone, one answer for
-    all recipes.
+    """The test accuracy that a recording's width and height alone give, one for all recipes.
 
     Each training recording votes for its class among the sizes around its own. This is what a
     network could have from the crops, without any object.
@@ -187,43 +188,49 @@ def by_crop_size(train: Path, test: Path) -> float:
 
 
 def _sizes(part: Path) -> dict[str, np.ndarray]:
-    """Class -> width and height of each recording, up to its outermost events."""
+    """The width and height of each recording, by class, up to the outermost events."""
     found = {}
     for folder in sorted(path for path in part.iterdir() if path.is_dir()):
         files = sorted(folder.iterdir())
         events = (open_recording(file).read() for file in files)
         found[folder.name] = np.array(
-            [(one["x"].max() + 1, one["y"].max() + 1) for one in events if len(one)]
+            [
+                (recording["x"].max() + 1, recording["y"].max() + 1)
+                for recording in events
+                if len(recording)
+            ]
         )
     return found
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Costs on some recordings' first windows: nanoseconds of an event in the volume, and a
-    decision after every event."""
+    """Costs on some recordings' first windows, in nanoseconds.
+
+    They are the time of an event in the volume, and that of a decision after every event.
+    """
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
-    some = []
+    windows = []
     for file in files[:: -(-len(files) // TIMED)]:
         events = open_recording(file, sensor=model.config.sensor).read()
         events["t"] -= events["t"][0]
-        some.append(events[events["t"] < model.config.window_us])
+        windows.append(events[events["t"] < model.config.window_us])
     regressor = CompiledRegressor(model) if model.config.needs_regressor else None
     volume = TNTVolume(model.config, regressor=regressor)
 
     def absorbed() -> float:
         nanoseconds = 0.0
-        for events in some:
+        for events in windows:
             volume.open(0)
             started = work_clock()
             volume.update(events)
             nanoseconds += 1e9 * (work_clock() - started)
-        return nanoseconds / sum(map(len, some))
+        return nanoseconds / sum(map(len, windows))
 
     per_event = interleave({"ours": absorbed}, 20)["ours"]
     return {
         "event_ns": spread(per_event),
-        "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
+        "every_event": bench_every_event(model, {}, windows, rounds=2 * len(windows))["ours"],
     }
 
 
@@ -267,9 +274,9 @@ def _draw_time(
 
 
 def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
-    """What each level of confidence costs and buys, in the mean over the networks."""
+    """Draw what each level of confidence costs and buys, in the mean over the networks."""
     of_levels = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
-    # levels that windows reach
+    # Only levels that windows reach are drawn.
     of_levels = [rows for rows in of_levels if all(row["median_ms"] is not None for row in rows)]
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in of_levels]
     for name, colour, words in (
@@ -319,7 +326,8 @@ def main(argv: list[str] | None = None) -> int:
         report: dict[str, Any] = {}
         for name in args.recipes:
             found = measure(args.folder, args.out, name, args.seeds)
-            report = earlier_report(args, report)  # as another run may have left it
+            # Another run may have changed the file in the meantime.
+            report = earlier_report(args, report)
             report = with_earlier(found, report, list(RECIPES)) if report else found
             write_outputs(args, report)  # before the next recipe's hours
         return report

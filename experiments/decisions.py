@@ -1,5 +1,6 @@
-"""How long a decision takes: ours, from what has changed, and the same by onnxruntime, OpenVINO,
-torch and eventcv.
+"""How long a decision takes.
+
+Ours, which computes what has changed, is compared with onnxruntime, OpenVINO, torch and eventcv.
 
     python -m experiments.decisions [--quick] [--json FILE] [--picture FILE]
 
@@ -42,7 +43,7 @@ QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """All measurements, as one JSON object.
+    """Measure everything, and return one JSON object.
 
     Raises
     ------

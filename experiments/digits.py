@@ -47,10 +47,11 @@ class Step:
     rate : the highest learning rate.
     recorded : share of the windows that an epoch shows as they were recorded.
     variations : other motions of each window.
-    augmentation : of all windows.
-    averaging : of the weights, see `TrainSettings`.
-    is_taught : half of the target is what the model of the step before says.
-    kept : share of that model's weights in this step's (Wortsman et al. 2022, arXiv:2109.01903).
+    augmentation : augmentation of all windows.
+    averaging : averaging of the weights, see `TrainSettings`.
+    is_taught : whether half of the target is what the model of the step before says.
+    kept : share of the weights that are taken from the model of the step before (Wortsman et al.
+        2022, arXiv:2109.01903).
     """
 
     epochs: int
@@ -129,8 +130,10 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
 
 
 def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
-    """The model with `kept` of the weights before and the rest of `fitted`, calibrated again on
-    what is held out."""
+    """The model whose weights are `kept` of the old ones and the rest of `fitted`.
+
+    It is calibrated again on what is held out.
+    """
     weights = {
         name: kept * before.weights[name] + (1 - kept) * after
         for name, after in fitted.model.weights.items()

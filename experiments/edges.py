@@ -1,5 +1,6 @@
-"""What a motion does not show, on real recordings: edges along it give no events, and a reversed
-one swaps polarity.
+"""What a motion does not show, on real recordings.
+
+Edges along the motion give no events, and a reversed motion swaps polarity.
 
     python -m experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json
 
@@ -57,14 +58,16 @@ ENDS_US = (0, 92_000, 222_000, 308_000)
 
 
 def directions() -> np.ndarray:
-    """(3, 2): unit vectors of the saccades, (x, y)."""
+    """The unit vectors (x, y) of the three saccades, (3, 2)."""
     moved = np.diff(np.stack(PATH.position(ENDS_US), axis=1), axis=0)
     return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image
-    is centred."""
+    """Signed and unsigned counts of events, (34, 34).
+
+    The events are moved along N-MNIST's path to where the image is centred.
+    """
     dx, dy = PATH.position(events["t"])
     x = np.rint(events["x"] - dx + 3.0).astype(int)
     y = np.rint(events["y"] - dy + 3.0).astype(int)
@@ -77,13 +80,16 @@ def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gradient(image: np.ndarray) -> np.ndarray:
-    """(34, 34, 2): (d/dx, d/dy) of an image's log luminance at the sensor's centre."""
+    """The gradient (d/dx, d/dy) of an image's log luminance, (34, 34, 2).
+
+    It is taken at the sensor's centre.
+    """
     light = render(image, np.array([3.0]), np.array([3.0]))[0]
     return np.stack(np.gradient(light)[::-1], axis=-1)
 
 
 def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
-    """The report, of `n` recordings spread evenly over those there are."""
+    """Measure the report on `n` recordings, spread evenly over all recordings."""
     split, found = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
     shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]

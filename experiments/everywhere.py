@@ -1,5 +1,6 @@
-"""Objects on a large sensor: how well a map model finds digits in scenes of several real
-recordings.
+"""Objects on a large sensor.
+
+The experiment tells how well a map model finds digits in scenes of several real recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
                                      [--json FILE]
@@ -153,27 +154,31 @@ def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
 
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
-    """How many objects were found where one of their class is, how many were found, and how many
-    there are."""
-    left = list(truth)
+    """How many objects were found right, how many were found, and how many are there.
+
+    A found object is right if an object of its class is near enough. Each object that is there
+    makes at most one found object right.
+    """
+    not_found = list(truth)
     objects = [found for found in objects if found.label != NO_OBJECT]
     for found in objects:
-        distances = {
-            one: float(np.hypot(one[1] - found.x, one[2] - found.y))
-            for one in left
-            if one[0] == found.label
-        }
-        nearest = min(distances, key=lambda one: distances[one], default=None)
+        distances = {}
+        for label, x, y in not_found:
+            if label == found.label:
+                distances[label, x, y] = float(np.hypot(x - found.x, y - found.y))
+        nearest = min(distances, key=lambda there: distances[there], default=None)
         if nearest is not None and distances[nearest] <= within:
-            left.remove(nearest)
-    return np.array([len(truth) - len(left), len(objects), len(truth)])
+            not_found.remove(nearest)
+    return np.array([len(truth) - len(not_found), len(objects), len(truth)])
 
 
 def measure(
     model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0
 ) -> dict[str, float]:
-    """F1 at the end and early, over scenes of `n_objects` together. Each recording is shown once,
-    or again when all have been."""
+    """F1 at the end and early, over scenes of `n_objects` together.
+
+    Each recording is shown once, or again when all have been.
+    """
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
     n_rounds = -(-n_objects // len(files))
@@ -181,8 +186,8 @@ def measure(
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     total = np.zeros(3)
     early = np.zeros(3)
-    for some in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
-        events, truth, last_us = scene([files[i] for i in some], kind, rng)
+    for chosen in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
+        events, truth, last_us = scene([files[i] for i in chosen], kind, rng)
         processor.reset()
         n_early = int(np.searchsorted(events["t"], last_us + EARLY_US))
         processor.push(events[:n_early])
@@ -208,8 +213,10 @@ def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
 
 
 def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
-    """Write what `digits-everywhere` is trained on: `folder/<digit>` with links to recordings, and
-    pictures."""
+    """Write what `digits-everywhere` is trained on.
+
+    This is a folder for each digit, with links to recordings and with pictures.
+    """
     for path in (nmnist / "Train").glob("*/*.bin"):
         link = folder / path.parent.name / path.name
         link.parent.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,6 @@
-"""How many real recordings does a classifier need beside pictures, and without? N-MNIST's Test
-against those of Train.
+"""How many real recordings does a classifier need beside pictures, and without?
+
+N-MNIST's Test against those of Train.
 
     python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N]
                                          [--out FOLDER] [--json FILE] [--picture FILE]
@@ -45,8 +46,10 @@ WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
 
 
 def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
-    """Links to pictures and to the first `n` recordings of each class. Returns how many recordings
-    a class has."""
+    """Links to pictures and to the first `n` recordings of each class.
+
+    Returns how many recordings a class has.
+    """
     counts = []
     for source in sorted(path for path in (nmnist / "Train").iterdir() if path.is_dir()):
         recordings = sorted(source.glob("*.bin"))[:n]
@@ -91,14 +94,17 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """Share of windows right against recordings of each class, on axes that spread out what is near
-    100 %."""
+    """Draw the share of windows right against the number of recordings of each class.
+
+    The axes spread out what is near 100 %.
+    """
     figure = new_figure(3.6)
     axes = axes_at(figure, 0.8, 0.6, 9.2, 2.4)
     for way, colour in WAYS.items():
         rows = report["ways"][way]
         wrong = [
-            100 * (1 - np.mean([one["window_accuracy"] for one in row["networks"]])) for row in rows
+            100 * (1 - np.mean([network["window_accuracy"] for network in row["networks"]]))
+            for row in rows
         ]
         axes.plot(
             [max(0.3, row["per_class"]) for row in rows], wrong, color=colour, marker="o", label=way

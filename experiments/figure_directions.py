@@ -42,8 +42,10 @@ def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """A polar panel for what was trained on: angle: direction of motion, downwards below; radius:
-    accuracy."""
+    """Draw a polar panel for each set that was trained on.
+
+    The angle is the direction of motion, downwards below. The radius is the accuracy.
+    """
     from experiments.thesis.rows import ROWS
 
     table = report["table"]

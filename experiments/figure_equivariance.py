@@ -114,7 +114,7 @@ def _maps(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.
 
 
 def measure(quick: bool = False) -> dict[str, Any]:
-    """The equivariance error of each input, layer and flow."""
+    """Measure the equivariance error of each input, layer and flow."""
     flows = FLOWS[:2] if quick else FLOWS
     tensors = torch_classifier(load_model("digits")).tensors
     weights = {name: tensor.detach().double() for name, tensor in tensors.items()}
@@ -135,8 +135,10 @@ def measure(quick: bool = False) -> dict[str, Any]:
 def _error(
     moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int
 ) -> float:
-    """The error by the best translation of 0 to `flow` pixels. Cells that rolling round the border
-    reaches are left out."""
+    """The error by the best translation of 0 to `flow` pixels.
+
+    Cells that rolling round the border reaches are left out.
+    """
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
     most = -(-flow // pixels)
@@ -147,7 +149,7 @@ def _error(
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """A panel for each input, a line for each layer."""
+    """Draw a panel for each input, with a line for each layer."""
     figure = new_figure(3.4)
     colours = ("#000000", "#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7")
     first: Any = None

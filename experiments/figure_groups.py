@@ -43,7 +43,7 @@ class Case(NamedTuple):
 
 
 def counted() -> torch.Tensor:
-    """(1, 1, SIDE, SIDE): ON minus OFF events of the first saccade of a bundled 3."""
+    """ON minus OFF events of the first saccade of a bundled 3, (1, 1, SIDE, SIDE)."""
     events = open_recording(sample_recordings()[3]).read()
     events = events[events["t"] < WINDOW_US]
     image = np.zeros((SIDE, SIDE))
@@ -53,7 +53,7 @@ def counted() -> torch.Tensor:
 
 
 def edge_filter() -> torch.Tensor:
-    """(1, 1, 5, 5): an edge that is not its own quarter turn."""
+    """A filter for an edge that is not its own quarter turn, (1, 1, 5, 5)."""
     y, x = np.mgrid[-2:3, -2:3]
     return torch.from_numpy((x + 0.4 * y) * np.exp(-(x**2 + y**2) / 3.0))[None, None]
 
@@ -102,15 +102,18 @@ CASES = (
 
 
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
-    """The features of the transformed image, the transformed features, and their relative
-    difference."""
+    """Two sets of features, and their relative difference.
+
+    The first are the features of the transformed image, the second are the transformed features
+    of the image.
+    """
     one = case.of(case.before(image))
     other = case.expected(case.after(image))
     return one, other, float((one - other).norm() / other.norm())
 
 
 def draw() -> Figure:
-    """A row for each case."""
+    """Draw a row for each case."""
     image = counted()
     figure = new_figure(1.2 * len(CASES) + 0.95)
     heads = ("image", "transformed", "its features", "features, transformed", "difference")

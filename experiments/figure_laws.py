@@ -64,9 +64,11 @@ def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.cache
 def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: bool) -> np.ndarray:
-    """How far each event of a moving object lies from the same event of the object at rest, after
-    the transform, in units of D / t_max, where D is the displacement over the window."""
-    # an even event rate; the last event at the window's end
+    """How far the transform leaves each event of a moving object from where it is at rest.
+
+    The distances are in units of D / t_max. D is the displacement over the window.
+    """
+    # The events come at an even rate, the last one at the window's end.
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     moved = 16.0 * path(t / WINDOW_US)
     y = np.full(N, 100.0)
@@ -93,8 +95,10 @@ def landmark_table(path: Callable[[np.ndarray], np.ndarray]) -> None:
 
 
 def draw_motion_terms(path: str) -> None:
-    """The motion that each landmark leaves in the volume, in the course of the window: a
-    translation is a flat line."""
+    """Draw the motion that each landmark leaves in the volume, in the course of the window.
+
+    A flat line means that the image is translated as a whole.
+    """
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(10.4, 3.9), sharey=True, layout="constrained")
@@ -115,8 +119,7 @@ def draw_motion_terms(path: str) -> None:
 
 
 def ridge_table() -> None:
-    """What `line` makes of constant flow v by the window's end, with events spread evenly over the
-    window."""
+    """What `line` makes of a constant flow v by the window's end, if the event rate is even."""
     rows = []
     for n in (10, 30, 100, 300, 1_300, 10_000):
         t = np.round((np.arange(n) + 1) * WINDOW_US / n).astype(np.int64)
@@ -137,13 +140,12 @@ def ridge_table() -> None:
 
 
 def wander_table() -> None:
-    """How far the landmark of an object at rest is from the object's middle, over 400 random
-    objects."""
+    """How far the landmarks of 400 random objects at rest are from the objects' middles."""
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     rows = []
     for landmark in ("running", "line"):
         found = [tnt_reference.landmark(landmark, t, *points(seed), **AT) for seed in range(400)]
-        strays = np.stack([one.numpy() - 100 for one in found])  # (objects, N, 2)
+        strays = np.stack([landmarks.numpy() - 100 for landmarks in found])  # (objects, N, 2)
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
@@ -186,8 +188,7 @@ def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, An
 
 
 def translation_table() -> None:
-    """Proposition 3 on the bundled samples' windows: how far the volume of a translated stream is
-    from the volume.
+    """Proposition 3 on the bundled samples: how much the volume of a translated stream differs.
 
     By 2 px each way, the most that the samples leave room for, in the stream; by 1/3 px in the
     reference.
@@ -270,8 +271,7 @@ def t_max_table() -> None:
 
 
 def border_counts() -> str:
-    """Events that lie exactly on the border by exact arithmetic, and how float64 decides over
-    them."""
+    """What float64 decides about events that lie on the border by exact arithmetic."""
     n = 0
     outside_a = 0
     outside_b = 0
@@ -302,8 +302,10 @@ def border_counts() -> str:
 
 
 def cancellation() -> str:
-    """1000 ON events, then 999 OFF events, at one pixel between two bins: one event should be
-    left."""
+    """What is left of 1000 ON and then 999 OFF events at one pixel between two bins.
+
+    It should be one event.
+    """
     rng = np.random.default_rng(2)
     weights = rng.random(999)
     shares = np.concatenate([weights, [0.5], -weights])

@@ -53,8 +53,11 @@ MEAN_SHARE = 0.03
 
 
 def draw_motions(first: Window, second: Window) -> Figure:
-    """Two windows of a recording, a row each: events along the axis in which their motions differ
-    most, and slices of the volumes, raw and transformed."""
+    """Draw two windows of a recording, a row each.
+
+    A row has the events along the axis in which the two motions differ most, and slices of the
+    volumes, raw and transformed.
+    """
     from matplotlib.lines import Line2D
 
     config = first.subject.config
@@ -97,8 +100,9 @@ def _picture(window: Window, n_columns: int, n_rows: int) -> tuple[float, float]
 
 
 def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
-    """The evenly spaced bins with the most events: a saccade is slow, and makes few, at its start
-    and end.
+    """The evenly spaced bins with the most events.
+
+    A saccade is slow at its start and end, and gives few events there.
 
     volumes : (..., C, H, W), not negative; C is B, or 2 B.
     """
@@ -119,7 +123,7 @@ def direction(flow: np.ndarray, axis: int) -> str:
 
 
 def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
-    """Events along one axis against time, in grid pixels."""
+    """Draw the events along one axis against time, in grid pixels."""
     config = window.subject.config
     u, v, kept, _ = window.coordinates()
     gain = config.to_grid(1.0, 1.0)[axis]
@@ -133,8 +137,10 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
 
 
 def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -> None:
-    """Dots, and their mean position in each twelfth of the window, except where many fell off the
-    grid."""
+    """Draw dots, and their mean position in each twelfth of the window.
+
+    There is no mean position where many dots fell off the grid.
+    """
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     axes.scatter(window.time_ms[shown], place[shown], s=3.2, c=colours, lw=0, rasterized=True)
@@ -153,8 +159,10 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
 
 
 def flow_of(window: Window) -> tuple[float, float]:
-    """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events
-    move."""
+    """The slope (x, y) of the ridge line, in grid pixels per window.
+
+    It is the direction in which the events move.
+    """
     volume = TNTVolume(window.subject.config.replace(landmark="line", remove_flow=False))
     volume.open(window.start_us)
     volume.update(window.events)

@@ -33,11 +33,13 @@ def main(argv: list[str] | None = None) -> int:
     events, _ = example["scene"](np.random.default_rng(0))
     model = load_model(args.model).for_sensor(example["SENSOR"])
     found = [
-        one
-        for one in stream(np.array_split(events, 100), model, every_us=10_000)
-        if not one.complete
+        decision
+        for decision in stream(np.array_split(events, 100), model, every_us=10_000)
+        if not decision.complete
     ]
-    shown = [[one for one in found if one.time_us <= 1000 * ms][-1] for ms in TIMES_MS]
+    shown = [
+        [decision for decision in found if decision.time_us <= 1000 * ms][-1] for ms in TIMES_MS
+    ]
     titles = [f"{ms} ms" for ms in TIMES_MS]
     words = "Six digits that begin one after the other on 320x240 pixels"
     draw_into(

@@ -1,5 +1,6 @@
-"""In how many windows motion re-synthesis finds a path, and how often it is right; and how often
-where nothing moves.
+"""In how many windows motion re-synthesis finds a path, and in how many the path is right.
+
+It also counts the paths that are found where nothing moves.
 
     python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
 
@@ -68,8 +69,10 @@ def paths_of(
 
 
 def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
-    """How many paths were found, and how many of these and of all lead within 45 degrees of
-    `angles`, in radians."""
+    """How many paths were found, and how many are right, of these and of all.
+
+    A path is right if it leads within 45 degrees of `angles`, in radians.
+    """
     leads = np.array([path.at(PARTS).mean(0) for path in paths])
     off = np.abs(np.angle(np.exp(1j * (np.arctan2(leads[:, 1], leads[:, 0]) - angles))))
     found = np.array([not path.refused for path in paths])
@@ -86,8 +89,8 @@ def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
 def saccades(folder: Path, n: int) -> dict[str, Any]:
     """N-MNIST's saccades, at each rate."""
     rng = np.random.default_rng(0)
-    every = sorted(map(str, folder.glob("Train/*/*.bin")))
-    files = [Path(name) for name in rng.permutation(every)[:n]]
+    names = sorted(map(str, folder.glob("Train/*/*.bin")))
+    files = [Path(name) for name in rng.permutation(names)[:n]]
     if not files:
         raise FileNotFoundError(f"no recordings {folder}/Train/<digit>/*.bin")
     n = len(files)
@@ -120,7 +123,7 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
     ]
     true_of = np.array([angles[k] for k in (starts // SACCADE_US).tolist()])
     for name, span in (("alone", 1), ("with those beside", SPAN)):
-        windows = wide if span > 1 else [part_of(one, third) for one in wide]
+        windows = wide if span > 1 else [part_of(window, third) for window in wide]
         paths = paths_of(windows, (SIDE, SIDE), third, pixels)
         rows[f"N-MNIST, thirds of saccades, {rate:.0%}, {name}"] = judged(paths, true_of)
     return rows
@@ -205,7 +208,7 @@ def _columns(columns: Iterable[np.ndarray]) -> Columns:
 
 
 def measure(nmnist: Path | None, n: int) -> dict[str, Any]:
-    """All rows."""
+    """Measure all rows of the report."""
     rows = {**(saccades(nmnist, n) if nmnist else {}), **swings(n), **noise(n)}
     return {"machine": machine(), "rows": rows}
 

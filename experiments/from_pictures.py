@@ -1,5 +1,4 @@
-"""Classifiers that never saw an event: trained on pictures alone, tested on recordings of real
-cameras.
+"""Classifiers that are trained on pictures alone, and tested on recordings of real cameras.
 
     python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
                                         [--made] [--fonts FOLDER] [--seeds N] [--out FOLDER]
@@ -116,7 +115,7 @@ def train_following(
 
 
 def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: Path | None) -> None:
-    """The pictures of a set."""
+    """Write the pictures of a set."""
     if name == "nmnist":
         write_mnist(folder, data_folder(mnist, "mnist", "--mnist"), n)
     elif name == "poker":
@@ -128,8 +127,10 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: P
 
 
 def link_official(nmnist: Path, out: Path) -> None:
-    """`out/official/<digit>`: links to N-MNIST's recordings of the official test part, see
-    `thesis/data.py`."""
+    """Write links to N-MNIST's recordings of the official test part, in `out/official/<digit>`.
+
+    See `thesis/data.py`.
+    """
     for path in [*nmnist.glob("Test/*/*.bin"), *nmnist.glob("Train/*/*.bin")]:
         if path.parts[-3] == "Test" or int(path.stem) > OFFICIAL[0]:
             link = out / "official" / path.parent.name / path.name

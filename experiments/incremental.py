@@ -1,5 +1,6 @@
-"""What computing only what has changed brings, for four networks: ours beside onnxruntime, OpenVINO
-and torch.
+"""What it brings to compute only what has changed, for four networks.
+
+Ours is compared with onnxruntime, OpenVINO and torch.
 
     python -m experiments.incremental [--quick] [--json FILE] [--picture FILE]
 
@@ -53,8 +54,10 @@ NOT_DRAWN = "onnxruntime_run"
 
 
 def gesture(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network as is common for DVS gestures: a 2x2 stem of stride 2, 3x3 convolutions, average
-    pools, dense."""
+    """A network as is common for DVS gestures.
+
+    It has a 2x2 stem of stride 2, 3x3 convolutions, average pools and a dense layer.
+    """
     layers: list[nn.Module] = [nn.Conv2d(channels, 16, 2, 2), nn.ReLU()]
     for n_inputs, n_filters in ((16, 16), (16, 32), (32, 32), (32, 64)):
         layers += [nn.Conv2d(n_inputs, n_filters, 3, padding=1), nn.ReLU(), nn.AvgPool2d(2)]
@@ -82,8 +85,10 @@ NETWORKS: dict[str, tuple[Callable[..., nn.Module], TNTConfig, int]] = {
 
 
 def made_model(name: str) -> Model:
-    """A model with torch's initial weights, and statistics that keep the numbers of all layers
-    alive."""
+    """A model with torch's initial weights.
+
+    The statistics of its batch norms keep the numbers of all layers alive.
+    """
     build, config, n_classes = NETWORKS[name]
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -96,7 +101,7 @@ def made_model(name: str) -> Model:
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """All measurements, as one JSON object.
+    """Measure everything, and return one JSON object.
 
     Raises
     ------

@@ -1,5 +1,6 @@
-"""From events to objects: the time it takes a map model on large sensors, beside computing the
-whole map.
+"""The time that a map model takes from events to objects, on large sensors.
+
+It is compared with the time it takes to compute the whole map.
 
     python -m experiments.map_times [--quick] [--ssla-rt PROGRAM WEIGHTS] [--json FILE]
 
@@ -70,8 +71,10 @@ EVERY_US = 1_000
 
 
 def four(channels: int) -> nn.Module:
-    """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be
-    found."""
+    """A network of four convolutions, with a place for 8x8 pixels.
+
+    Its last bias makes the answer "nothing" likely, as few objects are there to be found.
+    """
     widths = (channels, 16, 32, 32, 48)
     strides = (2, 2, 2, 1)
     layers: list[nn.Module] = []
@@ -95,8 +98,10 @@ def models() -> dict[str, Model]:
 def moving(
     sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, speed: float
 ) -> np.ndarray:
-    """n events of recordings, over and over, each at its place, which moves by `speed` pixels a
-    second."""
+    """n events of recordings, which are repeated.
+
+    Each recording has its place, which moves by `speed` pixels a second.
+    """
     rng = np.random.default_rng(n_objects)
     room = np.array(sensor) - SIDE - 1
     parts = []
@@ -106,7 +111,7 @@ def moving(
         events["t"] = np.arange(len(events)) * duration_us // len(events)
         diagonal = np.sqrt([0.5, 0.5])
         path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * diagonal)
-        # back and forth
+        # The recording moves back and forth.
         path = np.abs(path % (2 * room) - room).astype(int)
         events["x"] += path[:, 0].astype(np.uint16)
         events["y"] += path[:, 1].astype(np.uint16)
@@ -166,7 +171,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
         for k in range(n_moments):
             of_moment = events[A_WINDOW * k : A_WINDOW * (k + 1)]
             decide(followed)(of_moment[:299])
-            # as in a stream: a dense pass before would have emptied the caches
+            # This decision is not timed. It fills the caches again, which a dense pass has emptied.
             decide(followed)(of_moment[299].item())
             timed("one event", decide(followed), of_moment[300].item())
             timed("1,000 events", decide(followed), of_moment[301:1301])
@@ -210,7 +215,7 @@ def load(model: Model, n_objects: int, seconds: float) -> float:
 
 
 def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
-    """The whole report."""
+    """Measure the whole report."""
     n_moments = 20 if quick else MOMENTS
     seconds = 0.05 if quick else 1.0
     rows: dict[str, Any] = {}

@@ -1,5 +1,6 @@
-"""Does memory grow during a long stream? Resident memory after the first million events and at the
-end.
+"""Does memory grow during a long stream?
+
+Resident memory after the first million events and at the end.
 
     python -m experiments.memory [--events 100000000] [--limit-mb 4]
 
@@ -43,7 +44,7 @@ def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
     """Push one window's events, `start_us` later than recorded; returns the number of decisions."""
     n_decisions = 0
     for k in range(PACKETS_A_WINDOW):
-        # new memory each time, as a driver hands it over
+        # A driver hands over new memory each time.
         packet = window[k * PACKET : (k + 1) * PACKET].copy()
         packet["t"] += start_us
         if k % 3 == 1:

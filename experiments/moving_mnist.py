@@ -153,7 +153,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _nmnist_folder(given: Path | None) -> Path | None:
-    """N-MNIST to compare with: as given, or in $TNT_DATA; None where it is in neither."""
+    """The folder of N-MNIST, which is given or lies in $TNT_DATA; None if there is none."""
     root = os.environ.get("TNT_DATA")
     if given is None and not (root and (Path(root) / "nmnist").is_dir()):
         return None
@@ -187,7 +187,7 @@ def _as_json(
 def _print(
     made: MovingMnist, columns: Columns, seconds: float, *, exported: Path | None, compared: bool
 ) -> None:
-    """What was made, and the statistics side by side."""
+    """Print what was made, and the statistics side by side."""
     say(
         f"{made.folder}: {len(made)} recordings ({len(made.parameters['images'])} images, "
         f"{len(made.motions)} motions) in {len(made.shards)} files, {_size(made) / 1e6:.1f} MB; "
@@ -203,8 +203,10 @@ def _print(
 
 
 def export(made: MovingMnist, folder: Path) -> None:
-    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index
-    + 1."""
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`.
+
+    The number is the image's index + 1.
+    """
     with progress(len(made), "exporting") as bar:
         for shard in made:
             motion = folder / shard.metadata["motion"]["name"]

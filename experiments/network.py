@@ -68,8 +68,10 @@ def random_events(n: int) -> np.ndarray:
 
 
 def send_pings(ports: list[int], n: int) -> None:
-    """One datagram a millisecond to each of the ports in turn, all its events at the time of
-    sending."""
+    """Send one datagram a millisecond to each of the ports in turn.
+
+    All events of a datagram have the time of sending.
+    """
     events = random_events(EVENTS)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for k in range(n * len(ports)):
@@ -79,8 +81,10 @@ def send_pings(ports: list[int], n: int) -> None:
 
 
 def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
-    """Events at an even rate, a datagram or a tenth of a millisecond's share at a time; what was
-    sent."""
+    """Send events at an even rate, and return what was sent.
+
+    One datagram is sent at a time, or the share of a tenth of a millisecond.
+    """
     n = max(1, round(rate * SHARE_S), min(EVENTS, round(rate)))
     events = random_events(n)
     # the last is due at the end

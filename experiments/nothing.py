@@ -1,5 +1,6 @@
-"""How often a model decides with confidence where none of its classes is: noise, hot pixels,
-patches, edges, objects.
+"""How often a model is confident where none of its classes is there.
+
+It sees noise, hot pixels, patches, edges and objects.
 
     python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER]
                                   [--cars N-CARS] [--json FILE] [--quick]
@@ -160,9 +161,9 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
         t = events["t"] - events["t"][0]
         scale = max(1.0, (max(int(events["x"].max()), int(events["y"].max())) + 1) / side)
         in_window = t < window_us
-        one = events[in_window]
+        window = events[in_window]
         yield on_sensor(
-            t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, (side, side)
+            t[in_window], window["x"] / scale, window["y"] / scale, window["p"] > 0, (side, side)
         )
 
 

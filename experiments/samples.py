@@ -20,7 +20,7 @@ show."""
 
 
 def sample_indices(labels: np.ndarray) -> dict[int, int]:
-    """Digit -> index of its first image at `FIRST_SAMPLE` or later.
+    """The index of each digit's first image at `FIRST_SAMPLE` or later.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Cold and warm starts in new processes: the time from `import` to the first decision.
+"""Time cold and warm starts in new processes, from `import` to the first decision.
 
     python -m experiments.starts [--quick] [--json FILE]
 
-Ours, with an empty and with a full cache of compiled code, beside onnxruntime and torch, where they
-are installed.
+Ours starts with an empty and with a full cache of compiled code. It is compared with onnxruntime
+and torch where they are installed.
 """
 
 from __future__ import annotations
@@ -111,8 +111,9 @@ print(json.dumps(seconds))
 
 
 def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
-    """Time starts: each round has one process of each row, the cold one with a cache folder of its
-    own.
+    """Time how long programs take to start.
+
+    Each round has one process of each row. The cold one has a cache folder of its own.
 
     A first round, which fills the system's file cache, is discarded. Without `cold` nothing is
     compiled: `ours_warm` takes the cache as this process has it.
@@ -181,7 +182,7 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """All starts, as one JSON object."""
+    """Measure all starts, and return one JSON object."""
     model = load_model(MODEL)
     rounds = 1 if quick else ROUNDS
     warmup(model)

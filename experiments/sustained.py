@@ -1,5 +1,6 @@
-"""What this machine sustains with a model: events a second, delays under load, and what becomes of
-too many.
+"""What this machine sustains with a model.
+
+This is told in events a second, in delays under load, and in what becomes of too many events.
 
     python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20]
                                     [--picture FILE]
@@ -48,8 +49,10 @@ MAX_DELAY_US = 50_000
 
 
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
-    """Packets of a millisecond, of a bundled recording's events over and over, each in new memory;
-    in real time since `started`, or at once."""
+    """Packets of a millisecond, made of a bundled recording's events, which are repeated.
+
+    Each packet is in new memory. Packets come in real time since `started`, or at once.
+    """
     events = open_recording(sample_recordings()[3]).read()
     n = max(1, round(rate * PACKET_US * 1e-6))
     before = 0
@@ -110,11 +113,11 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
 def measure(
     name: str, every_events: int, seconds: float, loads: tuple[float, ...]
 ) -> dict[str, Any]:
-    """The sustained rate, and streams at each load of it."""
+    """Measure the sustained rate, and streams at each load of it."""
     model = load_model(name)
     warmup(model)
     processor = Processor(model, every_events=every_events)
-    # warm
+    # The first call warms the processor up.
     share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
     an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))

@@ -1,5 +1,7 @@
-"""`python -m experiments.thesis_table`: the thesis' experiment. Train and test its networks, and
-compare them."""
+"""`python -m experiments.thesis_table`: the thesis' experiment.
+
+Train and test its networks, and compare them.
+"""
 
 from __future__ import annotations
 
@@ -257,7 +259,7 @@ def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any]
 
 
 def _write(record: dict[str, Any], args: argparse.Namespace) -> None:
-    """The files of --out and --into."""
+    """Write the files of --out and --into."""
     from experiments.thesis.merge import merged
 
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
@@ -277,8 +279,10 @@ def _tables(record: dict[str, Any]) -> str:
 
 
 def _listed(runs: list[Run], iterations: int | None) -> list[str]:
-    """The networks, a line for each row: what it is trained on, with how many seeds, for how many
-    steps."""
+    """A list of the networks, a line for each row.
+
+    It says what the row is trained on, with how many seeds, and for how many steps.
+    """
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
         row = ROWS[name]

@@ -45,8 +45,11 @@ Work = Callable[[], object]
 
 
 def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[str, Work]:
-    """What one stream takes: as a volume, with decisions at the ends of windows, and with one every
-    millisecond."""
+    """The work of one stream, in three forms.
+
+    It is a volume alone, a stream with decisions at the ends of windows, and one with a
+    decision every millisecond.
+    """
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
     takers: dict[str, Any] = {
         "volume": TNTVolume(model.config),
@@ -60,8 +63,8 @@ def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[st
         def run() -> None:
             for _ in range(n_passes):
                 taker.reset()
-                for some in packets:
-                    take(some)
+                for events_of_packet in packets:
+                    take(events_of_packet)
 
         return run
 
@@ -84,7 +87,7 @@ def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
 
 
 def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
-    """The time of one after the other, divided by that of both at once."""
+    """The time of two works one after the other, divided by their time in two threads."""
     both = {
         "one after the other": partial(seconds, pair, in_threads=False),
         "in threads": partial(seconds, pair, in_threads=True),
@@ -94,8 +97,10 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
 
 
 def wake_us(n: int = 2_000) -> float:
-    """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for
-    Python's lock."""
+    """Median microseconds until a thread that waits for a lock runs on.
+
+    This is what it costs to wait for Python's lock.
+    """
     there = threading.Lock()
     back = threading.Lock()
     took = []

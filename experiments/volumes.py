@@ -41,7 +41,7 @@ ROUNDS = (31, 5)
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """All sensors, as one JSON object."""
+    """Measure all sensors, and return one JSON object."""
     rng = np.random.default_rng(0)
     rounds = ROUNDS[quick]
     found = []
@@ -86,8 +86,10 @@ def bench_volume(
 
 
 def whole_windows(rng: np.random.Generator, n_events: int, rounds: int) -> dict[str, Any]:
-    """Time a window on the largest sensor, opened, filled by packets of 1,300 and read once at its
-    end."""
+    """Time a window on the largest sensor.
+
+    It is opened, filled by packets of 1,300 events, and read once at its end.
+    """
     config = TNTConfig(sensor=GRIDS[-1], grid=GRIDS[-1], landmark="running")
     packets = _column_packets(made_columns(rng, GRIDS[-1], n_events, config.window_us), PACKETS[-1])
     volume = TNTVolume(config)

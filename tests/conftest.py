@@ -30,16 +30,18 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the kernels once, by two processes, before the workers of pytest start."""
     is_worker = hasattr(session.config, "workerinput")
     if not is_worker and not session.config.option.collectonly:
-        from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
+        from async_tnt import warmup  # imported here, as OMP_NUM_THREADS must be set first
 
         warmup()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
-    """Compile the kernels before the first test: a program that a test starts would say on stderr
-    that it compiles."""
-    from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
+    """Compile the kernels before the first test.
+
+    Otherwise a program that a test starts would say on stderr that it compiles them.
+    """
+    from async_tnt import warmup  # imported here, as OMP_NUM_THREADS must be set first
 
     warmup()
 
@@ -56,7 +58,7 @@ def data() -> Path:
 @pytest.fixture
 def program(capsys):
     """A function that runs `async-tnt` with words, and returns exit code, stdout and stderr."""
-    from async_tnt.cli import main  # not above: OMP_NUM_THREADS has to be set first
+    from async_tnt.cli import main  # imported here, as OMP_NUM_THREADS must be set first
 
     def run(*words):
         capsys.readouterr()

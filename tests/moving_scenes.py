@@ -11,8 +11,10 @@ SENSOR = (34, 34)
 
 
 def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
-    """A function of (x, y): log luminance of a few dark smooth bars and discs about the middle of
-    the sensor."""
+    """A function of (x, y) that gives log luminance.
+
+    It has a few dark smooth bars and discs about the middle of the sensor.
+    """
     size = min(sensor) / 34
     centres = (np.array(sensor) - 1) / 2 + rng.uniform(-spread, spread, (n, 2)) * size
     angles = rng.uniform(0, np.pi, n)
@@ -53,8 +55,10 @@ def recorded(scene, displacement, rng, sensor=SENSOR, pixels=None, window_us=WIN
 
 
 def noiseless_events(light, times, threshold_on, threshold_off, reference=None, refractory_us=0.0):
-    """Events of noiseless pixels with known thresholds; the level begins at the first frame, or at
-    `reference`."""
+    """Events of noiseless pixels with known thresholds.
+
+    The level begins at the first frame, or at `reference`.
+    """
     level = light[0] if reference is None else reference
     of_pixels = [
         np.full(light[0].shape, value, float) for value in (threshold_on, threshold_off, level)

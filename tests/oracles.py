@@ -1,5 +1,6 @@
-"""Slow twins: the classifier in NumPy, bit for bit, and a Processor's windows and triggers in plain
-Python.
+"""Slow twins: the classifier in NumPy, and a Processor's windows and triggers in plain Python.
+
+The classifier's twin is equal bit for bit.
 
 The classifier (`forward`) spells out each operation, rounded once. It uses nothing of the product
 except the order of its sums, which is part of what the product promises:

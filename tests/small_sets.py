@@ -13,8 +13,10 @@ from experiments.digit_data.nmnist_files import write_nmnist
 
 
 def write_small_nmnist(folder: Path, *, n_train: int, first_number: int) -> Path:
-    """The ten bundled samples, each moved by 0, 1, ... pixels: `n_train` of each digit in Train, 1
-    in Test."""
+    """Write the ten bundled samples, each moved by 0, 1, ... pixels.
+
+    `n_train` of each digit are in Train, and 1 is in Test.
+    """
     for digit, path in sample_recordings().items():
         events = read_nmnist(path)
         for split, n in (("Train", n_train), ("Test", 1)):
@@ -29,8 +31,10 @@ def write_small_nmnist(folder: Path, *, n_train: int, first_number: int) -> Path
 
 
 def write_small_mnist(folder: Path, n: int) -> Path:
-    """`n` images of thick bars, whose slope and place follow their label; the same in both
-    splits."""
+    """Write `n` images of thick bars, whose slope and place follow their label.
+
+    Both splits have the same images.
+    """
     rng = np.random.default_rng(0)
     labels = (np.arange(n) * 7 % 10).astype(np.uint8)
     rows, columns = np.mgrid[:28, :28] - 13.5

@@ -1,5 +1,7 @@
-"""Waiting for another thread, task or process, for as long as a busy machine may take; and reading
-a source in both ways, in a loop and in a task."""
+"""Waiting for another thread, task or process, for as long as a busy machine may take.
+
+Reading a source in both ways, in a loop and in a task.
+"""
 
 import asyncio
 import threading

@@ -153,10 +153,9 @@ def refuse_mask(name: str, values: Any, advice: str) -> None:
 
     `advice` says what to pass instead.
     """
-    # Looked up in `sys.modules`: no array can be masked before numpy.ma is imported, and the import
-    # takes 10 ms.
-    masked_array = getattr(sys.modules.get("numpy.ma"), "MaskedArray", ())
-    if isinstance(values, masked_array):
+    # The import of numpy.ma takes 10 ms. Until somebody has imported it, no array is masked.
+    masked_array = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
+    if masked_array is not None and isinstance(values, masked_array):
         rule = f"must not be a masked array, whose mask would be ignored; pass {advice}"
         raise ParameterTypeError(name, rule)
 

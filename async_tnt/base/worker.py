@@ -129,10 +129,10 @@ def _receive(pipe: Any, calls: SimpleQueue[bytes]) -> None:
 
 
 def _answer(call: bytes) -> bytes:
-    """Call a function; the pickle of (False, its value) or of (True, its error)."""
+    """Call a function, and return the pickle of (False, its value) or of (True, its error)."""
     try:
         function, args, limit_s = pickle.loads(call)
-        # by `faulthandler`: a library that hangs may never let a thread of Python run
+        # `faulthandler` ends the process: a library that hangs may never let a thread of Python run
         if limit_s:
             faulthandler.dump_traceback_later(limit_s, exit=True)
         return pickle.dumps((False, function(*args)), pickle.HIGHEST_PROTOCOL)

@@ -1,5 +1,4 @@
-"""Compare the stream with the batch reference on one recording: the promise of equality as a
-function.
+"""Compare the stream with the batch reference on one recording, as the promise of equality says.
 
 (a) However the stream was cut into packets, the streamed volume is the same, bit for bit. It is
     made of the events that the reference has in that window.
@@ -77,7 +76,9 @@ class Comparison:
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
-    """Name -> configuration: with every landmark, with the flow removed, without the transform.
+    """The configurations that are compared, by name.
+
+    There is one for each landmark, one with the flow removed, and one without the transform.
 
     The landmark `regressor` is there only if `base` has it. Images of times have no transform.
     """
@@ -85,10 +86,10 @@ def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
         return {"no transform": base}
     tnt = base.replace(transform="tnt", remove_flow=False)
     landmarks = [name for name in LANDMARKS if name != "regressor" or base.needs_regressor]
-    every = {landmark: tnt.replace(landmark=landmark) for landmark in landmarks}
-    every["line, flow removed"] = tnt.replace(landmark="line", remove_flow=True)
-    every["no transform"] = tnt.replace(landmark="center", transform="none")
-    return every
+    configs = {landmark: tnt.replace(landmark=landmark) for landmark in landmarks}
+    configs["line, flow removed"] = tnt.replace(landmark="line", remove_flow=True)
+    configs["no transform"] = tnt.replace(landmark="center", transform="none")
+    return configs
 
 
 def check_recording(
@@ -130,7 +131,7 @@ def _check_packets(
     regressor: Regressor | None,
     closed: list[tuple[int, bytes]],
 ) -> Comparison:
-    """The first half of promise (a): volumes do not depend on packets.
+    """Check the first half of promise (a): volumes do not depend on packets.
 
     closed : the `_closed_windows` of the first packet size.
     """
@@ -152,7 +153,7 @@ def _check_volumes(
     start_us: int | None,
     closed: list[tuple[int, bytes]],
 ) -> list[Comparison]:
-    """The second half of promise (a), and promise (b): windows, volumes and landmarks.
+    """Check the second half of promise (a), and promise (b): windows, volumes and landmarks.
 
     closed : the `_closed_windows` of a stream.
     """
@@ -204,7 +205,7 @@ def _check_network(
     config = model.config
     pipeline = reference_pipeline(model)
     whole_network = CompiledClassifier(model)
-    # one for all windows
+    # One network for all windows: it must keep nothing of the window before.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     # with a landmark that is found at each read, a decision after each event is as slow as the

@@ -82,8 +82,10 @@ def _open_streams() -> None:
 
 
 class _Stderr(io.FileIO):
-    """Drops what cannot be written, as a closed or full stderr must not change how a command
-    ends."""
+    """Drops what cannot be written.
+
+    A closed or full stderr must not change how a command ends.
+    """
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
         """Write the bytes; returns how many they are, even if they were dropped."""

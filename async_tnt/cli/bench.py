@@ -95,8 +95,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
-    """Events of the bundled samples, spread over the sensor if that is another; and words that say
-    which of both."""
+    """The events of the bundled samples, and a description of them.
+
+    If the sensor has another size than the samples, their events are spread over it.
+    """
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     if sensor == SAMPLE_SENSOR:
         return recordings, "bundled samples"
@@ -111,8 +113,10 @@ def _packets(events: np.ndarray) -> list[np.ndarray]:
 
 
 def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
-    """Nanoseconds an event, over the first windows of all recordings. Opening a window is not
-    timed."""
+    """Nanoseconds an event, over the first windows of all recordings.
+
+    Opening a window is not timed.
+    """
     config = model.config
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     volume = TNTVolume(config, regressor=regressor)
@@ -133,8 +137,10 @@ def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
 
 
 def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iterator[float]:
-    """Microseconds of `fire`, `n_new` events after a decision, at moments spread over each
-    recording."""
+    """Microseconds of `fire`, called `n_new` events after the previous decision.
+
+    The moments are spread over each recording.
+    """
     processor = Processor(model)
     for events in recordings:
         processor.reset()

@@ -102,8 +102,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
-    """Print a line for each comparison, with the worst of all recordings. Then, on stderr, a line
-    for each comparison that fails on a recording."""
+    """Print a line for each comparison, with the worst of all recordings.
+
+    Then, on stderr, a line for each comparison that fails on a recording.
+    """
     merged: dict[tuple[str, str], Comparison] = {}
     for comparisons in results.values():
         for c in comparisons:

@@ -155,7 +155,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _how_to_run(args: argparse.Namespace) -> Run:
-    """The function that streams the recordings, by the options.
+    """The function that streams the recordings, as the options ask for it.
 
     Raises
     ------
@@ -176,17 +176,18 @@ def _tasks_of(
     """A task for each recording of a folder, named by its place in it."""
     tasks = []
     for label, recordings in found.items():
-        for one in recordings:
-            name = one.name_as(one.path.relative_to(folder).as_posix())
-            tasks.append(task_of(name, one.path, job, label, one.between_us))
+        for recording in recordings:
+            name = recording.name_as(recording.path.relative_to(folder).as_posix())
+            tasks.append(task_of(name, recording.path, job, label, recording.between_us))
     return tasks
 
 
 def _stream(
     args: argparse.Namespace, tasks: Sequence[Task], run: Run, check: Callable[[Record], object]
 ) -> list[Record]:
-    """All records in order of the recordings' names, with a progress bar. They are written to the
-    file of --out, if that is given.
+    """All records in order of the recordings' names, with a progress bar.
+
+    They are written to the file of --out, if that is given.
 
     Raises
     ------
@@ -220,7 +221,7 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
     Raises
     ------
     ValueError : a class folder that the model does not know, or no recordings.
-    OSError : no such folder.
+    OSError : the folder does not exist.
     """
     found = find_recordings(folder, "Test")
     unknown = [name for name in found if name not in model.classes]

@@ -104,7 +104,7 @@ def _score(
 
     Raises
     ------
-    ValueError, OSError : it cannot be read, or its table, or its sensor is not known.
+    ValueError, OSError : the recording or its table cannot be read, or its sensor is not known.
     """
     table = read_table(table_file, model.classes)
     recording = open_recording(

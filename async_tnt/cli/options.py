@@ -66,8 +66,10 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
 
 
 def paths_of(args: argparse.Namespace) -> list[Any]:
-    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file
-    exists.
+    """The paths of the given FILEs.
+
+    Without any, they are the bundled samples. So is the word `samples`, if no file has this
+    name.
 
     A digit names its bundled recording, see `sample_or_path`.
     """
@@ -87,8 +89,10 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
 
 
 def sample_or_path(name: str | Path) -> Path:
-    """The path of a file; for a digit, such as "3", that of its bundled recording, unless a file
-    has this name."""
+    """The path of a file, or that of a bundled recording for a digit, such as "3".
+
+    If a file is named by that digit, the file is meant.
+    """
     path = Path(name)
     if path.exists():
         return path
@@ -121,8 +125,10 @@ def of_windows(model: Model, name: str | Path) -> Model:
 
 
 def _live_or_path(text: str) -> str | Path:
-    """The name of a camera or of a network stream as it is, anything else as a path. An argparse
-    type."""
+    """The name of a camera or of a network stream as it is, anything else as a path.
+
+    An argparse type.
+    """
     return text if is_live(text) else user_path(text)
 
 
@@ -207,8 +213,10 @@ def add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def add_triggers(parser: argparse.ArgumentParser) -> None:
-    """Add the options that make a decision due before the end of a window; `triggers_of` reads
-    them."""
+    """Add the options that make a decision due before the end of a window.
+
+    `triggers_of` reads them.
+    """
     parser.add_argument(
         "--every-us", type=positive_int, metavar="US", help="decide also every US microseconds"
     )
@@ -321,8 +329,10 @@ def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
 
 
 def volume_of(text: str | None) -> dict[str, Any]:
-    """Read `bins=5,polarity=split` as fields of `TNTConfig`; no field where the option is not
-    given."""
+    """Read `bins=5,polarity=split` as fields of `TNTConfig`.
+
+    Without the option there are no fields.
+    """
     volume: dict[str, Any] = {}
     parts = [] if text is None else text.split(",")
     for part in parts:
@@ -387,5 +397,5 @@ def _value_words(name: str, value: Any) -> str:
         value = separator.join(f"{part:g}" for part in value)
     values = value if isinstance(value, list) else [value]
     if name in ("network", "teacher"):
-        values = [Path(one).name for one in values]
+        values = [Path(value).name for value in values]
     return shlex.join(map(str, values))

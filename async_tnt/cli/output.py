@@ -33,8 +33,10 @@ def note(*lines: str) -> None:
 
 
 def can_print(text: str, stream: TextIO) -> bool:
-    """Whether the encoding of this stream has all these characters. Others are printed as
-    escapes."""
+    """Whether the encoding of this stream has all these characters.
+
+    Others are printed as escapes.
+    """
     try:
         text.encode(getattr(stream, "encoding", None) or "utf-8")
     except UnicodeEncodeError:
@@ -142,7 +144,8 @@ class DecisionLines:
         window = f"{start_ms:.3f}+{length_ms:.3f}"
         latency = f" {latency_us:>7.1f}" if self.with_latency else ""
         objects = "".join(
-            f"  {one.id}: {one.label} ({one.x:.0f}, {one.y:.0f})" for one in decision.objects or ()
+            f"  {found.id}: {found.label} ({found.x:.0f}, {found.y:.0f})"
+            for found in decision.objects or ()
         )
         return (
             f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  "

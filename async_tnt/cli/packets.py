@@ -50,8 +50,8 @@ def find_sources(
 
     Raises
     ------
-    ValueError, OSError, ImportError : none can be opened. The error is that of the last source;
-        those of the others are printed.
+    ValueError, OSError, ImportError : no source can be opened. The error is that of the last
+        source; the errors of the others are printed.
     """
     problems: list[Exception] = []
     for path in paths:

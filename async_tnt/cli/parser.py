@@ -38,7 +38,7 @@ class Parser(argparse.ArgumentParser):
 
     @property
     def written(self) -> dict[str, str]:
-        """Name of a parameter -> the option that gives it, such as "every_us": "--every-us"."""
+        """The option that gives each parameter, such as "--every-us" for "every_us"."""
         return {
             action.dest: action.option_strings[-1]
             for action in self._actions

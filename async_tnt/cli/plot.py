@@ -159,7 +159,7 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
 
     Raises
     ------
-    ValueError : they cannot be drawn, or do not fit each other.
+    ValueError : the changes cannot be drawn, or do not fit each other.
     """
     changes = volume_of(args.volume)
     if args.window_us is not None:

@@ -85,7 +85,7 @@ def run(argv: Sequence[str]) -> int:
     """Run the program with these arguments. Returns its exit code, as `cli.main`."""
     try:
         code = _run(argv)
-    except SystemExit as stopped:  # of argparse: --help, --version, bad usage
+    except SystemExit as stopped:  # argparse ends the program: --help, --version, bad usage
         raise SystemExit(_flushed(int(stopped.code or 0))) from None
     return _flushed(code)
 
@@ -137,7 +137,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
 def _run_command(args: argparse.Namespace, signals: Signals) -> int:
     """Call the function of the command. Warnings are printed, signals raise KeyboardInterrupt."""
     with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.before:
-        # such as of a damaged recording: in one line, without its place in the code
+        # A warning, such as of a damaged recording, is one line without its place in the code.
         warnings.showwarning = lambda message, *where: complain(
             message, args.written, before="warning: "
         )
@@ -152,7 +152,7 @@ def _code_after_signal(number: int, code: int, interrupted: str) -> int:
 
     Parameters
     ----------
-    number : of the signal.
+    number : number of the signal.
     code : the exit code of the command.
     interrupted : what the command says about its interruption; "" for nothing.
     """

@@ -186,7 +186,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
         except OSError as error:  # unplugged, or the disk is full: what came before is kept
             problems.append(error)
         finally:
-            # not before: a terminal that is gone must not end the recording
+            # The lines are printed last: a terminal that is gone must not end the recording.
             if lines:
                 say(*lines)
         for problem in problems:

@@ -268,8 +268,10 @@ def _camera(args: argparse.Namespace, window_us: int) -> MeasuredPixels | None:
 def _other_motions(
     args: argparse.Namespace, data: TrainingData, settings: TrainSettings, run_folder: Path
 ) -> Motions | None:
-    """The windows under other motions, made in the run folder or found there; None with --motions
-    recorded."""
+    """The windows under other motions, made in the run folder or found there.
+
+    None with `--motions recorded`.
+    """
     from async_tnt.training.moved_windows import MotionSettings
     from async_tnt.training.resynthesis import resynthesize
     from async_tnt.training.run_folder import identity_of, load_checkpoint
@@ -329,8 +331,10 @@ def _note_motions(record: dict[str, Any]) -> None:
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
-    """A function that prints a line after an epoch, at most one a second: hundreds of short epochs
-    need no line each."""
+    """A function that prints a line after an epoch, but at most one line a second.
+
+    A training may have hundreds of short epochs.
+    """
     printed_at = -1.0
 
     def report(row: dict[str, float]) -> None:

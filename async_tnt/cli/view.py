@@ -154,7 +154,7 @@ def main(args: argparse.Namespace) -> int:
 def _show(
     recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float
 ) -> None:
-    """Play a recording, at a multiple `speed` of its own; `select` chooses the pixels."""
+    """Play a recording at `speed` times its own speed; `select` chooses the pixels."""
     with progress(recording.n_events, printable(recording.path.name)) as bar:
         for packet in replay(map(select, recording), speed):
             view.push(packet)

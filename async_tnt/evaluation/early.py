@@ -28,16 +28,19 @@ NO_DECISION = -1
 
 
 def every_us(config: TNTConfig) -> int | None:
-    """How often to decide, in microseconds; None for windows of a number of events, which have no
-    duration of their own."""
+    """How often to decide, in microseconds.
+
+    None for windows of a number of events, which have no duration of their own.
+    """
     if config.window_events is not None:
         return None
     return max(1, config.window_us // (N_MOMENTS * PER_MOMENT))
 
 
 def moments(config: TNTConfig) -> list[int]:
-    """The tenths of a window, in microseconds since its start; the last one is its end. The list is
-    empty for windows of a number of events.
+    """The tenths of a window, in microseconds since its start; the last one is its end.
+
+    The list is empty for windows of a number of events.
 
     Examples
     --------
@@ -108,8 +111,9 @@ def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
 def early_report(
     records: Sequence[Mapping[str, Any]], labels: Sequence[int], config: TNTConfig
 ) -> dict[str, Any]:
-    """Tables over all windows of records with the fields of `early_fields`. The lists are empty for
-    windows of a number of events.
+    """Tables over all windows of records with the fields of `early_fields`.
+
+    The lists are empty for windows of a number of events.
 
     Parameters
     ----------

@@ -105,7 +105,6 @@ def task_of(
 
 
 def sha256_of(model: Model) -> str:
-    """The checksum of everything that decisions depend on: configuration, classes, layers and
-    weights."""
+    """The checksum of all that decisions depend on: configuration, classes, layers and weights."""
     about = [model.config.to_dict(), list(model.classes), model.network]
     return checksum(model.weights, json.dumps(about, sort_keys=True))

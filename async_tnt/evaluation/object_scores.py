@@ -1,5 +1,8 @@
-"""How well a map model finds objects: how many of those that are there, and how many of its finds
-are right."""
+"""How well a map model finds objects.
+
+This is told by two shares: how many of the objects that are there it finds, and how many of the
+objects that it finds are there.
+"""
 
 from __future__ import annotations
 
@@ -213,8 +216,7 @@ def _windows(
 def _packets_needed(
     packets: Iterable[np.ndarray], ends_us: np.ndarray, window_us: int
 ) -> np.ndarray:
-    """How many packets must be read, from the first on, to have all events of the window before
-    each of these times."""
+    """How many packets must be read to have all events of the window before each of these times."""
     n_needed = np.zeros(len(ends_us), np.int64)
     for n, packet in enumerate(packets, 1):
         if not len(packet):

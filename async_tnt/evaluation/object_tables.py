@@ -68,8 +68,8 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
 
     Raises
     ------
-    ValueError : no recording with a table.
-    OSError : no such folder.
+    ValueError : the folder has no recording with a table.
+    OSError : the folder does not exist.
     """
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
     found = []
@@ -173,8 +173,10 @@ def _read_csv(path: Path) -> _Rows:
 
 
 def _converted(path: Path, name: str, column: list[Any]) -> list[Any]:
-    """Make the values of a column of a table from their texts; a missing value has the text
-    None."""
+    """Make the values of a table's column from their texts.
+
+    A missing value has the text None.
+    """
     convert = CSV_TYPES[name]
     values = []
     for k, text in enumerate(column):
@@ -247,8 +249,10 @@ def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
 
 
 def _whole(column: np.ndarray) -> np.ndarray:
-    """A column of whole numbers as int64; a ValueError for others, which a conversion would change
-    silently."""
+    """A column of whole numbers as int64.
+
+    A ValueError for other numbers, which a conversion would change silently.
+    """
     if column.ndim != 1 or column.dtype.kind not in "iuf":
         raise ValueError(
             f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}"

@@ -1,5 +1,4 @@
-"""Run a function over many tasks, in worker processes of this machine or on the machines of a Dask
-cluster."""
+"""Run a function over many tasks, in several processes of this machine or of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -48,7 +47,7 @@ def run_all(
         yield from map(function, tasks)
         return
     waiting = list(reversed(tasks))
-    team: dict[Any, tuple[Worker, Task]] = {}  # by pipe
+    team: dict[Any, tuple[Worker, Task]] = {}  # the workers and their tasks, by pipe
 
     def submit(worker: Worker) -> None:
         task = waiting.pop()
@@ -82,8 +81,10 @@ def run_all(
 def run_counted(
     function: Callable[[Task], int], tasks: Sequence[Task], workers: int, bar: Bar
 ) -> None:
-    """Run a function, which returns by how much a progress bar advances, over many tasks as
-    `run_all` does."""
+    """Run a function over many tasks as `run_all` does, and show a progress bar.
+
+    The function returns by how much the bar advances.
+    """
     with bar, contextlib.closing(run_all(function, tasks, workers)) as amounts:
         for n in amounts:
             bar.update(n)
@@ -111,7 +112,7 @@ def run_on_dask(
     Raises
     ------
     ImportError : Dask is not installed.
-    OSError : no scheduler answers at this address, or it is gone; or there are no workers.
+    OSError : no scheduler answers at this address, the scheduler is gone, or it has no workers.
     """
     if not tasks:
         return
@@ -174,7 +175,8 @@ def _connected(address: str) -> Iterator[Any]:
             # first: a client that cannot read it says so once more when Python ends
             get_address_host_port(address)
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
-        except Exception as error:  # of many types, depending on what is wrong with the address
+        # The type of the error depends on what is wrong with the address.
+        except Exception as error:
             raise ConnectionError(
                 f"no Dask scheduler answers at {address!r}; expected the address that "
                 f"`dask scheduler` prints, such as tcp://10.0.0.1:8786 ({one_line(error)})"

@@ -100,8 +100,7 @@ def evaluate_recording(task: Task) -> Record:
 
 
 def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> None:
-    """Refuse a record that `evaluate_recording` cannot have made with a model of these classes and
-    this configuration.
+    """Refuse a record that `evaluate_recording` cannot have made with these classes and settings.
 
     Parameters
     ----------
@@ -129,7 +128,7 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
     _check_numbers("probabilities", record["probabilities"], (n_classes,), float, (0, 1))
     _check_numbers("window_start_us", rows, (n_windows,), int, (0, MAX_TIME_US))
 
-    # fields with a row for each window: length of a row, type and limits of its numbers
+    # The fields that have a row for each window: the row's length, and its numbers' type and limits
     tables: dict[str, tuple[int, type, tuple[int, int]]] = {
         "window_probabilities": (n_classes, float, (0, 1)),
         "decided_at": (n_moments, int, (-1, n_classes - 1)),

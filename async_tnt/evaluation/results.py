@@ -1,5 +1,6 @@
-"""Collect the records of many recordings in a result file: a line of JSON for each recording, in
-order of their names.
+"""Collect the records of many recordings in a result file.
+
+It has a line of JSON for each recording, in order of their names.
 
 Until it is complete, the file is its own journal. One process holds a lock on it, and appends
 records in the order in which they are done. A killed process leaves at most half a line, which the
@@ -37,8 +38,9 @@ def collect(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[str], object] = lambda line: None,
 ) -> list[Record]:
-    """Do what is not done yet, write the result file, and return its records in order of the
-    recordings' names.
+    """Run the tasks that have no record yet, write the result file, and return all its records.
+
+    The records are in order of the recordings' names.
 
     A recording is done again if its record has an error, or if its size, time of change or class
     differs.
@@ -96,8 +98,10 @@ def collect(
 def _good_records(
     file: ResultFile, out: Path, check: Callable[[Record], object]
 ) -> dict[str, Record]:
-    """Recording -> its record in a file, if that has no error; a ValueError for one that `check`
-    refuses."""
+    """The records in a file without those of errors, by the name of their recordings.
+
+    A ValueError for a record that `check` refuses.
+    """
     good = {name: record for name, record in file.records.items() if record["error"] is None}
     for name, record in good.items():
         try:
@@ -162,8 +166,10 @@ class ResultFile:
         self._add(record)
 
     def finish(self, names: Collection[str]) -> None:
-        """Let the file hold the records of these recordings and no others, in order. It is not
-        written if it holds them already."""
+        """Let the file hold the records of these recordings and no others, in order.
+
+        It is not written if it holds them already.
+        """
         if self._names == sorted(names):
             return
         with replacing(self._out) as part:
@@ -206,8 +212,10 @@ def _line(record: Record) -> bytes:
 
 
 def _record_of(line: bytes, job: Job, out: Path) -> Record:
-    """Read the record in a line of the file `out`; a ValueError if it does not belong to this
-    job."""
+    """Read the record in a line of the file `out`.
+
+    A ValueError if the record does not belong to this job.
+    """
     try:
         record = parse_json(line)
     except ValueError:

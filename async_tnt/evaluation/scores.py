@@ -1,5 +1,4 @@
-"""How many windows and recordings are classified right, and how far probabilities can be
-believed."""
+"""How many windows and recordings are right, and how far the probabilities can be believed."""
 
 from __future__ import annotations
 

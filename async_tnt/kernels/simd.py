@@ -78,7 +78,7 @@ class Simd:
         return self.builder.gep(array, [index])
 
     def load(self, array: ir.Value, index: ir.Value, kind: ir.VectorType = VECTOR) -> ir.Value:
-        """As many numbers as `kind` holds, from `index` on."""
+        """Load as many numbers as `kind` holds, from `index` on."""
         value = self.builder.load(self.builder.bitcast(self.at(array, index), kind.as_pointer()))
         value.align = _alignment(kind)
         return value
@@ -124,7 +124,7 @@ class Simd:
         carried = [builder.phi(VECTOR) for _ in sums]
         next_counter = builder.add(counter, whole(1))
         new = body(counter, carried)
-        end = builder.block  # not `inside` if the body holds a loop
+        end = builder.block  # another block than `inside` if the body holds a loop
         counter.add_incoming(whole(0), before)
         counter.add_incoming(next_counter, end)
         for phi, first, value in zip(carried, sums, new, strict=True):

@@ -27,12 +27,13 @@ class Engine:
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
 ) -> Engine:
-    """A model and the engine that runs its networks: the compiled one, or onnxruntime for an .onnx
-    file.
+    """A model and the engine that runs its networks.
+
+    This is the compiled engine, or onnxruntime for an .onnx file.
 
     Parameters
     ----------
-    name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
+    name_or_path : a model, see `load_model`, or an .onnx file that `async-tnt export` wrote.
     map_sensor : (width, height), the sensor that a map model is to be used for, see
         `Model.for_sensor`. Other models have a sensor of their own.
     config : for an .onnx file of another program, a JSON file with the fields of a `TNTConfig` as

@@ -45,8 +45,9 @@ def load_model(
     config: TNTConfig | None = None,
     classes: Sequence[str] | None = None,
 ) -> Model:
-    """Load a bundled model by its name, such as "digits", any model file by its path, or an .onnx
-    network.
+    """Load a bundled model by its name, such as "digits", or any model by the path of its file.
+
+    The file is a model file or an .onnx network.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
-"""What events cannot tell directly, found by simulating the recorded motion again: contrast and
-refractory time.
+"""The contrast and the refractory time, which events do not tell directly.
+
+They are found by simulating the recorded motion again.
 
 Events tell contrast in units of the pixels' thresholds, and an image that is found in them is
 smoother than what was seen. So the thresholds are scaled until the recorded motion, re-synthesized,
@@ -72,10 +73,10 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
 
     Raises
     ------
-    ValueError : no window's path was found.
+    ValueError : no path was found in any window.
     """
     model = reconstruction.model
-    parts = [part_of(one, model.window_us) for one in windows]
+    parts = [part_of(window, model.window_us) for window in windows]
     measured = measure_pixels(parts, model.sensor, model.window_us)
 
     lengths = []
@@ -165,11 +166,11 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
         intervals.append(np.diff(events["t"][order])[same])
         n_active += len(np.unique(pixel))
         n_on += int((events["p"] == 1).sum())
-    every = np.concatenate(intervals)
+    all_intervals = np.concatenate(intervals)
     short = np.nan
     median = np.nan
-    if len(every):
-        short, median = np.quantile(every, (0.05, 0.5))
+    if len(all_intervals):
+        short, median = np.quantile(all_intervals, (0.05, 0.5))
     return {
         "events per window": _ratio(n_events, len(windows)),
         "active pixels": 100.0 * _ratio(n_active, len(windows) * sensor[0] * sensor[1]),

@@ -1,5 +1,6 @@
-"""The events of a window as one image that moves over the sensor: the statistical model, and its
-closed form.
+"""The statistical model of a window's events as one image that moves over the sensor.
+
+The model has a closed form.
 
 Let L be the image of log luminance where it is at the window's start, in units of the pixels'
 threshold. Let r_k be its displacement at the end of the k-th of K equal parts of the window. Then
@@ -111,14 +112,16 @@ class MovingImage:
 
     @cached_property
     def frequencies(self) -> tuple[np.ndarray, np.ndarray]:
-        """(qx, qy) of all frequencies, in radians per cell. Negative qx are left out, as their
-        values follow from the others."""
+        """All frequencies (qx, qy), in radians per cell.
+
+        Negative qx are left out, as their values follow from the others.
+        """
         rows, columns = self.shape
         return 2 * np.pi * np.fft.rfftfreq(columns), 2 * np.pi * np.fft.fftfreq(rows)
 
     @cached_property
     def band(self) -> tuple[np.ndarray, np.ndarray]:
-        """(qx, qy) of the frequencies that a path is found by."""
+        """The frequencies (qx, qy) that a path is found by."""
         qx, qy = self.frequencies
         return qx[qx <= BAND], qy[np.abs(qy) <= BAND]
 
@@ -129,8 +132,10 @@ class MovingImage:
 
     @cached_property
     def band_prior(self) -> np.ndarray:
-        """Q of the band's frequencies, (F,); x changes fastest. |D|^2 is the power of neighbours'
-        differences."""
+        """Q of the band's frequencies, (F,); x changes fastest.
+
+        |D|^2 is the power of the differences of neighbours.
+        """
         qx, qy = self.band
         squared: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
         return (ROUGHNESS * squared + LEVEL).ravel()
@@ -170,8 +175,8 @@ class MovingImage:
     def band_of(self, spectra: np.ndarray) -> np.ndarray:
         """The band's part of `spectra`, (N, F, K)."""
         qx, qy = self.frequencies
-        some = spectra[:, np.abs(qy) <= BAND][:, :, qx <= BAND]
-        return some.reshape(len(spectra), -1, N_FRAMES)
+        band = spectra[:, np.abs(qy) <= BAND][:, :, qx <= BAND]
+        return band.reshape(len(spectra), -1, N_FRAMES)
 
     def white_motion(self, paths: np.ndarray, qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
         """W a of paths (..., K, 2) in cells: (..., ny, nx, K)."""
@@ -297,8 +302,10 @@ def finer(image: np.ndarray, factor: int) -> np.ndarray:
 
 
 def centre_of(image: np.ndarray) -> np.ndarray:
-    """The middle (x, y) of the image's edges, in cells: the mean direction on the torus, weighted
-    by |D L|^2."""
+    """The middle (x, y) of the image's edges, in cells.
+
+    This is the mean direction on the torus, weighted by |D L|^2.
+    """
     power = sum((np.roll(image, -1, axis) - np.roll(image, 1, axis)) ** 2 for axis in (0, 1))
     centre = []
     for axis, n in ((0, image.shape[1]), (1, image.shape[0])):

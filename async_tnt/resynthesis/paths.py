@@ -150,8 +150,10 @@ class PathFinder:
         model = self.model
         n_cells = model.rows * model.columns
         paths = []
-        for one, parts, scores, n in zip(band, halves, self.scores(band), n_events, strict=True):
-            positions, _ = self.refine(one[None], self.dictionary[int(scores.argmax())])
+        for of_window, parts, scores, n in zip(
+            band, halves, self.scores(band), n_events, strict=True
+        ):
+            positions, _ = self.refine(of_window[None], self.dictionary[int(scores.argmax())])
             advantages = []
             for part in parts:
                 forwards, _, _ = model.evidence(part[None], positions)
@@ -160,7 +162,7 @@ class PathFinder:
             path = MotionPath(
                 positions * model.cell,
                 margin=self._margin(scores),
-                explained=model.explained(one, positions),
+                explained=model.explained(of_window, positions),
                 agreement=min(advantages),
                 n_events=n,
                 events_a_cell=n / n_cells,
@@ -174,9 +176,9 @@ class PathFinder:
         table, freedom = self._table
         by_frequency = np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64)
         explained = np.zeros((len(freedom), len(band)))
-        for one, spectra in zip(table, by_frequency, strict=True):
+        for by_path, spectra in zip(table, by_frequency, strict=True):
             # (D, N), small enough for the processor's cache
-            product = one @ spectra
+            product = by_path @ spectra
             explained += product.real**2 + product.imag**2
         evidence: np.ndarray = explained.T - freedom
         return evidence

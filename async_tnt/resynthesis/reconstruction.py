@@ -1,5 +1,4 @@
-"""From the events of windows to the image that moved and its path, and from there to events under
-another motion.
+"""From the events of windows to a moving image and its path, and to events of other motions.
 
 Other motions are drawn around the recorded ones: half to double their length, see `random_motion`.
 At half time the object's centre lies at random between its recorded place at half time and the
@@ -54,8 +53,10 @@ class SimulatedPixels:
     scale: float = 1.0
 
     def draw(self, rng: np.random.Generator) -> PixelModel:
-        """The pixels of one window. `rng` draws thresholds and refractory time, which vary from
-        window to window."""
+        """The pixels of one window.
+
+        `rng` draws thresholds and refractory time, which vary from window to window.
+        """
         scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
         spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
         return PixelModel(
@@ -175,12 +176,14 @@ class Reconstruction:
         pixels : the sensor's pixels, measured on recordings.
         """
         for first in range(0, len(windows), BATCH):
-            some = windows[first : first + BATCH]
-            found = self._reconstruct(some, pixels, 1)
+            batch = windows[first : first + BATCH]
+            found = self._reconstruct(batch, pixels, 1)
             unclear = [
-                i for i, one in enumerate(some) if found[i][0].refused and self._has_neighbours(one)
+                i
+                for i, window in enumerate(batch)
+                if found[i][0].refused and self._has_neighbours(window)
             ]
-            in_wider = self._reconstruct([some[i] for i in unclear], pixels, SPAN)
+            in_wider = self._reconstruct([batch[i] for i in unclear], pixels, SPAN)
             for i, (path, image) in zip(unclear, in_wider, strict=True):
                 if not path.refused:
                     found[i] = (path, image)
@@ -199,7 +202,7 @@ class Reconstruction:
         if not windows:
             return []
         model = self.model
-        parts = [part_of(one, model.window_us, span) for one in windows]
+        parts = [part_of(window, model.window_us, span) for window in windows]
         n_events = [len(t) for t, _, _, _ in parts]
         frames = model.frames(windows, pixels, span)
         spectra = model.spectra(frames)
@@ -229,11 +232,11 @@ class Reconstruction:
         halves = np.empty((len(band), 4, *band.shape[1:]), np.complex128)
         for k, axis in enumerate((1, 2)):  # x and y in (t, x, y, p)
             cut = frames.copy()
-            for one, columns in zip(cut, windows, strict=True):
+            for pictures, columns in zip(cut, windows, strict=True):
                 places = columns[axis]
                 middle = int(np.median(places)) // self.model.cell if len(places) else 0
                 # a frame is (rows, columns): its last axis is x
-                np.moveaxis(one, -axis, 0)[middle:] = 0
+                np.moveaxis(pictures, -axis, 0)[middle:] = 0
             halves[:, 2 * k] = self.model.band_of(self.model.spectra(cut))
             halves[:, 2 * k + 1] = band - halves[:, 2 * k]
         return halves

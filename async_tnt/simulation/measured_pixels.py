@@ -1,5 +1,6 @@
-"""What recordings tell of their sensor: thresholds of ON against OFF, refractory time, noise,
-after-pulses.
+"""What recordings tell of their sensor's pixels.
+
+These are the thresholds of ON against OFF, the refractory time, noise and after-pulses.
 
 The events do not tell how large the thresholds are: contrast is measured in thresholds.
 """
@@ -47,8 +48,10 @@ class MeasuredPixels:
 
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
-    """The events of `span` windows with `window` in their middle. Times are since the start of the
-    first of these windows."""
+    """The events of `span` windows with `window` in their middle.
+
+    Times are since the start of the first of these windows.
+    """
     t, x, y, p = window
     before_us = (span - 1) // 2 * window_us
     first, last = np.searchsorted(t, (-before_us, window_us + before_us))
@@ -132,7 +135,7 @@ def measure_pixels(
     n_on = counts.n_on
     n_off = counts.n_off
 
-    # events of a pixel in a window, of a Poisson process
+    # The mean number of noise events of a pixel in a window; they are a Poisson process.
     noise = -np.log1p(-min(0.99, counts.n_lonely / max(1, counts.n_quiet)))
     noise_on_share = counts.n_lonely_on / counts.n_lonely if counts.n_lonely else 0.5
     n_noise = noise * width * height * len(windows)

@@ -48,9 +48,11 @@ class PeriodicImage:
         Parameters
         ----------
         displacement : float64, (n, 2): displacement of the centre, in sensor pixels.
-        turn : float64, (n, 2): angle by which the image is turned about its centre, in radians,
-            from x to y; and the logarithm of its size. None: both are 0.
-        first, n_rows : the first of the sensor's rows, and how many; None: all from `first` on.
+        turn : float64, (n, 2). The first column is the angle by which the image is turned about its
+            centre, in radians, from x to y. The second column is the logarithm of the image's size.
+            None: both are 0.
+        first : the first row of the sensor that is made.
+        n_rows : how many rows are made. None: all rows from `first` on.
 
         Returns
         -------
@@ -62,7 +64,7 @@ class PeriodicImage:
         angle, growth = turn.T
         cos = np.exp(-growth) * np.cos(angle)
         sin = np.exp(-growth) * np.sin(angle)
-        # from the sensor to the image
+        # This matrix turns a displacement on the sensor into one in the image.
         back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)
         places = np.empty((len(displacement), 2, 3))
         places[..., :2] = back

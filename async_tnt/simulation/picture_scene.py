@@ -155,8 +155,11 @@ def record_picture(
 def _draw_motion(
     settings: SceneSettings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A random motion: shares of the window, (n,), at which frames are made; displacement in pixels
-    and turn there, (n, 2) each."""
+    """A random motion: the times of its frames, and displacement and turn at these times.
+
+    Times are shares of the window, (n,). The displacement is in pixels, (n, 2), and the turn is
+    as `PeriodicImage.frames` takes it, (n, 2).
+    """
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
     length = min(settings.sensor) * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
     fine = np.linspace(0, 1, FINE)
@@ -237,7 +240,7 @@ def _scene(
     apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
     apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
-    # multiples of 8, for a fast Fourier transform
+    # Sides that are multiples of 8 have a fast Fourier transform.
     shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])
 
     if rng.random() < TEXTURED:
@@ -279,7 +282,8 @@ def _posed(
 
     Returns
     -------
-    Light times cover, and cover: float64, (h, w) each.
+    light : float64, (h, w): the object's light times its cover.
+    cover : float64, (h, w): which share of each place the object covers.
     """
     from PIL import Image
 
@@ -307,8 +311,7 @@ def _posed(
 
 
 def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
-    """The coefficients (a, ..., h) of the perspective that takes the four places `seen` to
-    `corners`:
+    """The coefficients (a, ..., h) of the perspective that takes `seen` to `corners`, four places:
 
     (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y + 1))
     """

@@ -51,8 +51,9 @@ AFTER_US = 1_000
 
 @dataclass(frozen=True)
 class PixelModel:
-    """The sensor's pixels. The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares
-    them.
+    """The sensor's pixels.
+
+    The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
 
     Attributes
     ----------
@@ -200,8 +201,10 @@ def _noise(
 def _checked_frames(
     log_frames: np.ndarray, frame_times_us: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The arguments of `simulate` as contiguous float64 arrays. A ValueError if they break a
-    rule."""
+    """The arguments of `simulate` as contiguous float64 arrays.
+
+    A ValueError if they break a rule.
+    """
     frames = np.ascontiguousarray(plain_array("log_frames", log_frames), np.float64)
     times = np.ascontiguousarray(plain_array("frame_times_us", frame_times_us), np.float64)
     if frames.ndim != 3 or frames.shape[0] == 0:

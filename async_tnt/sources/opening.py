@@ -22,8 +22,9 @@ def is_live(name: str) -> bool:
 def open_source(
     source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, int] | None = None
 ) -> Any:
-    """Packets of events from a file, a camera, the network or memory, for `stream` and
-    `Processor.push`.
+    """Packets of events from a file, a camera, the network or memory.
+
+    They can be given to `stream` and `Processor.push`.
 
     Parameters
     ----------
@@ -39,7 +40,7 @@ def open_source(
 
     Raises
     ------
-    ValueError : not the name of a source, or a damaged file; the message says what is wrong.
+    ValueError : the name is not that of a source, or the file is damaged; the message says which.
     OSError : the file is missing, the address is taken, or no camera is connected.
     ImportError : a camera without the extra `cameras`.
 

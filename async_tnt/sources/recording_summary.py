@@ -71,7 +71,7 @@ def summarize(
 
     Parameters
     ----------
-    path : of any format that `open_recording` knows.
+    path : a file of any format that `open_recording` knows.
     sensor : (width, height), where the file does not state it.
     reading : other options of `open_recording`.
 
@@ -126,6 +126,8 @@ def summarize(
 
 
 def _reach(counts: np.ndarray) -> int:
-    """The shortest side, in pixels, that holds all events, from the number of events at each column
-    (or row)."""
+    """The shortest side, in pixels, that holds all events.
+
+    It follows from the number of events at each column (or row).
+    """
     return int(np.flatnonzero(counts).max(initial=-1)) + 1

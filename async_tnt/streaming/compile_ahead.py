@@ -1,5 +1,7 @@
-"""Compile the kernels that a stream will call before its first event: no event waits for the
-compiler."""
+"""Compile the kernels of a stream before its first event.
+
+No event then waits for the compiler.
+"""
 
 from __future__ import annotations
 

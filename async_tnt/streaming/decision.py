@@ -101,7 +101,9 @@ class Decision:
 
     def _likeliest_objects(self) -> str:
         objects = self.objects or ()
-        listed = [f"{one.label!r} at ({one.x:.1f}, {one.y:.1f})" for one in objects[:LIKELIEST]]
+        listed = [
+            f"{found.label!r} at ({found.x:.1f}, {found.y:.1f})" for found in objects[:LIKELIEST]
+        ]
         n_more = len(objects) - len(listed)
         if n_more:
             listed.append(f"{n_more} more")

@@ -219,8 +219,11 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
-        -1/+1."""
+        """`push` for one event.
+
+        `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
+        or -1 or +1.
+        """
         # the lines of `Running.begin`, a call of which would take another 30 ns
         running = self._running
         if running.now:
@@ -301,8 +304,10 @@ class Processor(TriggerAttributes):
         return max(self._seen_us, self._windows.oldest.newest_us)
 
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
-        """End the stream, and begin another one with the packets that waited and the event
-        `first`."""
+        """End the stream, and begin another one.
+
+        The new stream begins with the packets that waited and the event number `first`.
+        """
         waiting = self._restarts.waiting
         decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
         decisions += self._finish()
@@ -451,9 +456,9 @@ class Processor(TriggerAttributes):
         self._begun_for = self._oldest_window()
 
     def fire(self) -> Decision:
-        """Classify the open window as it is now; before the first event, an empty volume.
+        """Classify the open window as it is now, without any change to the stream.
 
-        Changes nothing.
+        Before the first event, an empty volume is classified.
         """
         self._running.begin()
         try:
@@ -534,8 +539,7 @@ class Processor(TriggerAttributes):
 
     @property
     def late(self) -> Late:
-        """What is done with an event older than the newest one seen: `accept`, `drop` or
-        `raise`."""
+        """What is done with an event older than the newest one: `accept`, `drop` or `raise`."""
         return self._decoder.late
 
     @property
@@ -571,16 +575,17 @@ class Processor(TriggerAttributes):
         is_direct = not overlap and self._accepts_late
         self._direct_volume: TNTVolume | None = self._windows.oldest if is_direct else None
         self._by_event = settings.by_event
-        # with both, time would have to pass for several windows at once
+        # With both, time would have to pass for several windows at once.
         by_time_and_overlap = overlap and settings.every_us is not None
         self._in_stretches = self._classifier.decides_in_stretches and not by_time_and_overlap
 
     @one_at_a_time
     def save_state(self) -> bytes:
-        """The stream as it is now, without classifier and regressor.
+        """The state of the stream as bytes, without the classifier and the regressor.
 
-        It is much smaller than a pickle of the Processor. `from_state` continues it, bit for bit,
-        in any process of the same release. It is a pickle, too: load none that you do not trust.
+        The state is much smaller than a pickle of the Processor. `from_state` continues the stream,
+        bit for bit, in any process of the same release. The state is a pickle, too: do not load a
+        state that you do not trust.
         """
         networks = named_networks(self.classifier, self._windows.regressor)
         return dump_state(super().__getstate__(), networks)
@@ -600,7 +605,8 @@ class Processor(TriggerAttributes):
 
         Raises
         ------
-        ValueError : not the state of a stream, or that of another configuration or other classes.
+        ValueError : the bytes are not the state of a stream, or this stream had another
+            configuration or other classes.
         """
         networks = networks_of(model, classifier, regressor, None)
         values = load_state(state, named_networks(networks.classifier, networks.regressor))

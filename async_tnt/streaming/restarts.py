@@ -1,5 +1,6 @@
-"""A clock that begins again: a recording that is read twice, a camera that was plugged in again, a
-counter that wraps.
+"""Restarts: the clock of a source begins again.
+
+This happens if a recording is read twice, if a camera is plugged in again, or if a counter wraps.
 
 All events that follow are older than the open window, and would be dropped as late without a word.
 Such a restart is told from a few events that come late: there are ENOUGH events in a row, and each
@@ -34,7 +35,7 @@ class RestartWatch:
 
     Attributes
     ----------
-    on_restart : as given.
+    on_restart : the parameter.
     looks_at_all : whether every packet is to be looked at, not only one that begins with a late
         event.
     waiting : copies of the newest packets while all their events are behind: they may be the first
@@ -62,8 +63,8 @@ class RestartWatch:
 
         Parameters
         ----------
-        columns : at least one event.
-        newest_us : time of the newest event before them, in microseconds; -1: there was none.
+        columns : the packet's events, at least one.
+        newest_us : time of the newest event before the packet, in microseconds; -1: there was none.
         n_events : events in the open window.
 
         Returns

@@ -13,7 +13,10 @@ from async_tnt.base.checks import one_line
 
 
 def named_networks(classifier: Any, regressor: Any) -> dict[str, Any]:
-    """Name -> the parts of a stream that its saved state has by name only; None: there is none."""
+    """The parts of a stream that its saved state has by name only, by this name.
+
+    None if there is no such part.
+    """
     return {
         "classifier": classifier,
         "reader": getattr(classifier, "reader", None),
@@ -35,7 +38,7 @@ def load_state(state: bytes, networks: dict[str, Any]) -> Any:
 
     Raises
     ------
-    ValueError : not such a state.
+    ValueError : the bytes are not such a state.
     """
     unpickler = _Unpickler(io.BytesIO(state))
     unpickler.networks = networks

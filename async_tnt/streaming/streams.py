@@ -1,5 +1,4 @@
-"""Whole sources of events: `stream` and `astream` yield decisions, `volumes` the windows'
-volumes."""
+"""Streams of whole sources: `stream` and `astream` yield decisions, `volumes` yields volumes."""
 
 from __future__ import annotations
 
@@ -74,7 +73,7 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    # not in the generator: errors come before the first event
+    # Made here and not in the generator, so that errors come before the first event.
     processor = as_processor(model, **settings)
     return _stream(source, processor, finish)
 
@@ -103,8 +102,9 @@ def astream(
     finish: bool = True,
     **settings: Unpack[Settings],
 ) -> AsyncIterator[Decision]:
-    """`stream` for an asynchronous `source`. The classifier runs in the event loop, for
-    microseconds at a time.
+    """`stream` for an asynchronous `source`.
+
+    The classifier runs in the event loop, for microseconds at a time.
 
     `model`, `finish` and `settings` are those of `stream`.
 
@@ -115,7 +115,7 @@ def astream(
     if not hasattr(source, "__aiter__"):
         got = f"{type(source).__name__}; `stream` takes iterables that are not"
         raise ParameterTypeError("source", "must be asynchronous", got)
-    # not in the generator: errors come before the first event
+    # Made here and not in the generator, so that errors come before the first event.
     processor = as_processor(model, **settings)
     return _astream(source, processor, finish)
 
@@ -182,7 +182,7 @@ def volumes(
         return [0.0]
 
     settings["classifier"] = keep
-    # not in the generator: errors come before the first event
+    # Made here and not in the generator, so that errors come before the first event.
     decisions = stream(_pieces(source, decoder), config, **settings)
     return (
         WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)

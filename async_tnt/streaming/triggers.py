@@ -1,5 +1,7 @@
-"""When a processor decides, apart from the end of each window: settings, and their state in
-kernels."""
+"""Triggers: when a processor decides apart from the end of each window.
+
+Here are their settings, and their state in the kernels.
+"""
 
 from __future__ import annotations
 
@@ -153,7 +155,7 @@ class TriggerAttributes:
         before = self._triggers.settings
         self._set_triggers(replace(before, **changes))
         if self._triggers.settings != before:
-            # the line of the user: above this method and the setter that called it
+            # The warning names the user's line, which is above this method and the setter.
             warn_if_never_due(self._triggers.settings, self.config, stacklevel=4)
 
     @property

@@ -252,10 +252,14 @@ class WindowClassifier:
             Object(classes[int(k)], int(k), probability, x, y, int(number))
             for x, y, probability, k, number in reader.found[:n].tolist()
         )
-        likeliest = objects[0] if objects else None
+        label = None
+        index = -1
+        if objects:
+            label = objects[0].label
+            index = objects[0].index
         return Decision(
-            likeliest.label if likeliest else None,
-            likeliest.index if likeliest else -1,
+            label,
+            index,
             reader.probabilities[:n].copy(),
             logits,
             *window,

@@ -1,5 +1,6 @@
-"""Which windows of a stream are open, each with its own volume; and whether its times are likely in
-microseconds.
+"""The open windows of a stream, each with its own volume.
+
+They also tell whether the stream's times are likely in microseconds.
 
 Windows of a duration lie end to end, or overlap with `hop_us`. A window of `window_events` begins
 with the first event after the window before it.
@@ -218,7 +219,7 @@ class WindowScheduler:
         """
         if self._window_events is not None:
             return True
-        return self.start_us is None and not any(one.n_received for one in self.volumes)
+        return self.start_us is None and not any(volume.n_received for volume in self.volumes)
 
     def open_due(self, t_us: int) -> bool:
         """Open the windows that hold `t_us`, or else the next one: at least one is open then.
@@ -285,9 +286,9 @@ class WindowScheduler:
         self._closing = None
 
     def _inform_oldest(self) -> None:
-        """Tell the oldest volume from when on the windows before it were closed early.
+        """Tell the oldest volume since which time the windows before it were closed early.
 
-        It counts the late events.
+        The volume needs this time to count late events.
         """
         if self._decided_from_us is not None:
             self.oldest.set_decided_from(self._decided_from_us)

@@ -1,5 +1,6 @@
-"""Train classifiers on recordings. Needs torch (extra `train`), which is imported when a name that
-uses it is.
+"""Train classifiers on recordings.
+
+Needs torch (extra `train`), which is imported when a name that uses it is.
 
 dataset_data                     windows of class folders to train, validate and test on
 VolumeChoice, Split, Work        how their events become volumes, what is held out, where events are

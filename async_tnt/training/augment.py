@@ -92,8 +92,9 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor with a
-    side of over 1024 pixels.
+    """How many times finer the sensor of augmented events is.
+
+    This is `FINE`, or less for a sensor with a side of over 1024 pixels.
 
     Examples
     --------
@@ -104,7 +105,7 @@ def fineness(sensor: tuple[int, int]) -> int:
 
 
 def unchanged(n: int, config: TNTConfig) -> Draws:
-    """No augmentation: `n` unchanged windows."""
+    """Draws that leave `n` windows unchanged."""
     matrix = np.zeros((n, 2, 3))
     matrix[:, 0, 0] = 1.0
     matrix[:, 1, 1] = 1.0
@@ -121,7 +122,7 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
 
 
 def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
-    """The same changes with whole pixels, if the volume is an image of times; otherwise `draws`.
+    """The draws with whole pixels if the volume is an image of times; otherwise `draws`.
 
     Such an image takes an event between pixels for an event of each of them.
     """
@@ -135,7 +136,7 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
 
 
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
-    """The same windows, some of which show nothing.
+    """The draws of the same windows, some of which show nothing.
 
     kinds : int64, (N,): SHOWN, or what a window shows instead, see `Draws.nothing`.
     """
@@ -166,7 +167,7 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
     place[edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, edge.sum())
     place[edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, edge.sum())
     place[edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, edge.sum())
-    # often of one polarity
+    # Half of the edges have events of one polarity.
     is_of_one = rng.random(edge.sum()) < 0.5
     on_share[edge] = np.where(is_of_one, np.rint(on_share[edge]), on_share[edge])
     place[:, 7] = on_share
@@ -221,20 +222,22 @@ class Augmentation:
 
     @classmethod
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
-        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor
-        and window.
+        """The default augmentation for a sensor and a window.
+
+        The numbers are chosen for N-MNIST's 34x34 pixels and 105 ms, and scaled to others.
 
         Parameters
         ----------
         config : a configuration with that sensor and window.
         changes : values of other fields.
         """
-        larger = (min(config.sensor) - 1) / 33
-        longer = config.window_us / 105_000
+        # distances between the outermost pixels, of which N-MNIST has 34
+        scale_px = (min(config.sensor) - 1) / 33
+        scale_ms = config.window_us / 105_000
         scaled = cls(
-            start_ms=cls.start_ms * longer,
-            shift_px=cls.shift_px * larger,
-            partial_from_ms=cls.partial_from_ms * longer,
+            start_ms=cls.start_ms * scale_ms,
+            shift_px=cls.shift_px * scale_px,
+            partial_from_ms=cls.partial_from_ms * scale_ms,
         )
         return replace(scaled, **changes)
 

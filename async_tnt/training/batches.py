@@ -34,7 +34,7 @@ class BatchVolumes:
 
     Raises
     ------
-    ValueError : it has `window_events`.
+    ValueError : the configuration has `window_events`.
     """
 
     def __init__(self, config: TNTConfig) -> None:
@@ -81,12 +81,13 @@ class BatchVolumes:
     def landmark_gradient(
         self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray
     ) -> np.ndarray:
-        """dL/dl from dL/dV, where V is what this object makes of `windows`, `draws` and
-        `landmarks`.
+        """The gradient dL/dl of the landmarks from the gradient dL/dV of the volumes.
+
+        V is what this object makes of `windows`, `draws` and `landmarks`.
 
         Parameters
         ----------
-        windows, draws : as for a call.
+        windows, draws : see `__call__`.
         landmarks : float64, shape (N, 2), (x, y) in grid pixels.
         gradient : float32, shape (N, C, H, W): dL/dV.
 
@@ -103,7 +104,7 @@ class BatchVolumes:
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
-        """The first arguments of both kernels."""
+        """The arguments that `window_volumes` and `landmark_gradients` begin with."""
         recordings = windows.recordings
         first = recordings.offsets[windows.recording]
         end = recordings.offsets[windows.recording + 1]

@@ -141,15 +141,17 @@ class _Shown:
 
     @property
     def kinds(self) -> np.ndarray:
-        """int64, (n,): the same, but two labels for a class, one for recordings and one for
-        pictures, so that the same share of both is held out."""
+        """int64, (n,): labels that also tell recordings of a class from pictures of it.
+
+        With them, the same share of both is held out.
+        """
         labels = self.labels
         is_picture = np.arange(len(labels)) >= self.n_recordings
         return 2 * labels + is_picture
 
     @property
     def counts(self) -> dict[str, int]:
-        """Class -> its recordings and pictures."""
+        """The number of recordings and pictures of each class."""
         labels = self.labels
         return {name: int((labels == k).sum()) for k, name in enumerate(self.dataset.classes)}
 
@@ -312,7 +314,7 @@ def _notes_of_volume(
 ) -> list[str]:
     """What the data set decided of the volume, and how its pictures were recorded.
 
-    events_a_pixel : of an active pixel in a window; None: it decided nothing.
+    events_a_pixel : mean number of events of an active pixel in a window; None: it decided nothing.
     """
     notes = []
     if config.window_us != choice.config.window_us:

@@ -137,7 +137,7 @@ def read_part(
     ValueError : fewer than two classes, or others than `classes`; a class without recordings, or
         with none left; the same recording in two classes; recordings of different sensors, or of an
         unknown one; a region or a mask that does not fit the sensor; a recording that is too long.
-    OSError : no such folder.
+    OSError : the folder does not exist.
     """
     pixels = reading.pixels
     if first is not None:
@@ -147,7 +147,9 @@ def read_part(
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes, with_pictures)
     names = tuple(found) if classes is None else classes
-    labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
+    labelled = [
+        (label, recording) for label, name in enumerate(names) for recording in found.get(name, [])
+    ]
 
     camera = _camera_of(pixels, first)
     if camera is None:
@@ -227,8 +229,8 @@ def _read_all(
             try:
                 writer.add(reader.read(file, label), label, file.name)
             except _LeftOut as error:
-                # by name, not by path: the reason goes into the model's record, which may be
-                # published
+                # The reason goes into the model's record, which may be published. So it has the
+                # file's name, but not its path.
                 left_out.append((label, str(error).replace(str(file.path), file.name)))
             bar.update()
         return writer.finish(), left_out
@@ -268,8 +270,9 @@ class _LeftOut(Exception):
 
 
 class _Reader:
-    """Reads recordings of one camera as the network will see them, and counts the events that it
-    removes.
+    """Reads recordings of one camera as the network will see them.
+
+    It counts the events that it removes.
 
     Parameters
     ----------

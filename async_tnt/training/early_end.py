@@ -1,5 +1,6 @@
-"""When a training ends before its last epoch: where nothing that is measured on held-out windows
-can improve.
+"""When a training ends before its last epoch.
+
+It ends early where nothing that is measured on held-out windows can improve.
 
 The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does
 not stop where it stands: it is given `COOLING` more epochs, over which the rate falls.
@@ -35,8 +36,9 @@ LOSSES = ("validation_loss", "motions_validation_loss")
 
 
 def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
-    """The epoch, from 1 on, after which nothing that is measured could improve; None: there is none
-    yet.
+    """The epoch, from 1 on, after which nothing that is measured could improve.
+
+    None if there is no such epoch yet.
 
     Parameters
     ----------

@@ -1,5 +1,8 @@
-"""How well a network classifies windows: by window, by recording, against time, and whether its
-probabilities are right."""
+"""How well a network classifies windows.
+
+This is measured by window, by recording and against time. Its probabilities are compared with how
+often it is right.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,7 @@ SURE = 0.9
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What `evaluate` found: the probabilities of N windows' classes at moments, and what follows
-    from them.
+    """What `evaluate` found: the class probabilities of N windows at moments, and what follows.
 
     Parameters
     ----------
@@ -51,19 +53,21 @@ class Evaluation:
 
     @property
     def against_time(self) -> dict[float, float]:
-        """Moment -> share of windows that are classified right then."""
+        """The share of windows that are right at each moment."""
         right = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
         return dict(zip(self.times_ms, right.tolist(), strict=True))
 
     @property
     def confusion(self) -> np.ndarray:
-        """(n_classes, n_classes): windows by true class (row) and decided class (column)."""
+        """Windows by true class (row) and decided class (column), (n_classes, n_classes)."""
         return _confusion(self.windows.labels, self.complete)
 
     @property
     def recording_confusion(self) -> np.ndarray:
-        """(n_classes, n_classes): recordings by true class (row) and decided class (column). The
-        mean of its windows' probabilities decides a recording."""
+        """Recordings by true class (row) and decided class (column), (n_classes, n_classes).
+
+        The mean of its windows' probabilities decides a recording.
+        """
         return confusion_by_recording(self.complete, self.windows)
 
     @property
@@ -78,14 +82,16 @@ class Evaluation:
 
     @property
     def calibration_error(self) -> float:
-        """Expected difference between a decision's probability and the share that is right, over
-        all moments together."""
+        """Expected difference between a decision's probability and the share that is right.
+
+        This is over all moments together.
+        """
         probabilities, labels = self._all_moments
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
-        """A kind of nothing -> share of windows in which a class has probability `SURE` or more."""
+        """The share of windows, for each kind of nothing, in which a class has at least `SURE`."""
         shares = {}
         for kind, probabilities in self.nothing.items():
             shares[kind] = float((probabilities.max(1) >= SURE).mean())
@@ -97,7 +103,7 @@ class Evaluation:
         return fit_temperature(*self._all_moments)
 
     def at_temperature(self, temperature: float) -> Evaluation:
-        """The same with all logits divided by `temperature`."""
+        """The evaluation with all logits divided by `temperature`."""
         nothing = {kind: softened(p, temperature) for kind, p in self.nothing.items()}
         return replace(
             self, probabilities=softened(self.probabilities, temperature), nothing=nothing
@@ -144,15 +150,15 @@ def class_probabilities(
     pipeline.eval()
     with torch.no_grad():
         for first in range(0, len(windows), BATCH):
-            some = windows[first : first + BATCH]
-            draws = unchanged(len(some), pipeline.config)
+            batch = windows[first : first + BATCH]
+            draws = unchanged(len(batch), pipeline.config)
             if until_us is not None:
                 draws.until_us[:] = until_us
             if nothing != SHOWN:
-                draws.seed[:] = np.arange(first, first + len(some))
+                draws.seed[:] = np.arange(first, first + len(batch))
                 rng = np.random.default_rng((first, nothing))
-                draws = of_nothing(draws, np.full(len(some), nothing, np.int64), rng)
-            logits = pipeline(some, draws)
+                draws = of_nothing(draws, np.full(len(batch), nothing, np.int64), rng)
+            logits = pipeline(batch, draws)
             parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
     pipeline.train(was_training)
     return np.concatenate(parts)
@@ -167,7 +173,7 @@ def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.nd
 
 
 def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """(n_classes, n_classes): how many by true class (row) and likeliest class (column)."""
+    """Counts by true class (row) and likeliest class (column), (n_classes, n_classes)."""
     confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
     np.add.at(confusion, (labels, probabilities.argmax(1)), 1)
     return confusion

@@ -1,5 +1,7 @@
-"""A finished model from windows: trained, calibrated on what was held out, with a record of how it
-was made."""
+"""Make a finished model from windows.
+
+It is trained, and calibrated on what was held out. Its record says how it was made.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +47,11 @@ class Fitted:
     history: list[dict[str, float]]
 
     def with_record(self, **more: Any) -> Fitted:
-        """The same with more in the model's record."""
+        """The same model with more entries in its record."""
         return replace(self, model=replace(self.model, record={**self.model.record, **more}))
 
     def tested(self, data: TrainingData) -> Fitted:
-        """The same with the accuracy on `data.tests` in the record. This may take long."""
+        """The same model with the accuracy on `data.tests` in its record. This may take long."""
         pipeline = pipeline_of(self.model)
         found = {}
         for name, (windows, more) in data.tests.items():
@@ -72,8 +74,7 @@ def fit(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
-    """Train on `data.training`; choose the temperature and measure the accuracy on
-    `data.validation`.
+    """Train on `data.training`, calibrate and measure the accuracy on `data.validation`.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def _record(
     start: Model | None,
     motions: Motions | None,
 ) -> dict[str, Any]:
-    """How a model was trained, for its record."""
+    """The part of a model's record that says how it was trained."""
     network = "that of the model it started from"
     if start is None:
         network = Path(settings.network).name
@@ -147,6 +148,8 @@ def _scores_in_motions(model: Model, motions: Motions) -> dict[str, Any]:
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:
-    """The moments at which accuracy is reported against time: each tenth of a window but its end,
-    in milliseconds."""
+    """The moments at which accuracy is reported against time, in milliseconds.
+
+    These are the tenths of a window without its end.
+    """
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

@@ -21,12 +21,13 @@ MIN_WINDOWS = 10
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
-    """The text that a regular expression finds in each name, `class/file`: that of its parentheses,
-    if it has any, or else all of it.
+    """The text that a regular expression finds in each name, `class/file`.
+
+    If the expression has parentheses, it is the text in them.
 
     Raises
     ------
-    ValueError : not a regular expression, or one that finds nothing in a name.
+    ValueError : the pattern is not a regular expression, or finds nothing in a name.
     """
     try:
         compiled = re.compile(pattern)
@@ -55,7 +56,7 @@ def hold_out_last(
 
     Recordings are numbered if the names of each class differ in numbers only; several numbers
     compare from left to right. Parts of sessions are not numbered. The two sides may still resemble
-    each other: the neighbours where a class is cut, and people or places that recur.
+    each other: the recordings beside the cut of a class do, and people or places may recur.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ def hold_out_last(
 
     Returns
     -------
-    train, held_out : as `hold_out_groups`.
+    train, held_out : see `hold_out_groups`.
     """
     if any(file_of(name) != name for name in names):
         return None
@@ -112,17 +113,17 @@ def hold_out_groups(
     wanted = np.zeros(len(n))
     if share:
         wanted = np.where(n > 0, np.maximum(np.round(share * n), 1), 0)
-    left = n.copy()
+    n_left = n.copy()
     held_out = np.zeros(len(labels), bool)
     for label in np.flatnonzero(n):
         for group in np.unique(place[labels == label]):
-            if n[label] - left[label] >= wanted[label]:
+            if n[label] - n_left[label] >= wanted[label]:
                 break
             counts = np.bincount(labels[members[group]], minlength=len(n))
-            leaves_some = ((left > counts) | (counts == 0)).all()
+            leaves_some = ((n_left > counts) | (counts == 0)).all()
             if leaves_some and not held_out[members[group][0]]:
                 held_out[members[group]] = True
-                left -= counts
+                n_left -= counts
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 

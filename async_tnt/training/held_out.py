@@ -36,7 +36,7 @@ class Split:
     groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each
         class by number, or some at random.
     test : also read the recordings of the part `Test`.
-    seed : of what is drawn at random, and of the recordings of pictures.
+    seed : seed of what is drawn at random, and of the recordings of pictures.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def hold_out_ends(
 
     Parameters
     ----------
-    share : of the windows of such a class; 0: none.
+    share : share of the windows of such a class that is held out; 0: none.
     n_real : number of recordings of a camera; those after them are of pictures.
     window_us : length of a window.
 

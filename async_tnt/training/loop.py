@@ -1,5 +1,7 @@
-"""The training loop: the same settings, data and machine give the same weights, interrupted or
-not."""
+"""The training loop.
+
+The same settings, data and machine give the same weights, whether it was interrupted or not.
+"""
 
 from __future__ import annotations
 
@@ -76,8 +78,8 @@ def train(
 
     Raises
     ------
-    ValueError : no training windows, `start` has another configuration or other classes, or the run
-        folder holds a run with other settings or data.
+    ValueError : there are no training windows, `start` has another configuration or other classes,
+        or the run folder holds a run with other settings or data.
     BlockingIOError : another process is training there.
     """
     _check(data, settings, start, motions, teachers)
@@ -312,15 +314,17 @@ def batches_of(
     order = np.concatenate(passes)
     shown = windows[order] if motions is None else motions.show(epoch, order, rng)
     for first in range(0, len(shown), settings.batch):
-        some = shown[first : first + settings.batch]
+        batch = shown[first : first + settings.batch]
         draws = None
         if settings.augmentation is not None:
-            draws = settings.augmentation.draw(some, config, rng)
-        yield some, draws
+            draws = settings.augmentation.draw(batch, config, rng)
+        yield batch, draws
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """As many indices as there are labels, every class equally often (within one), in random order.
+    """A random order of indices in which every class is equally often (within one).
+
+    There are as many indices as labels.
 
     A class with fewer windows than its share is repeated, each time in another order; of a class
     with more, each epoch shows a different part. We sample rather than weight the loss: a rare
@@ -335,7 +339,8 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
     shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
-    rng.shuffle(shares)  # which class gets one more
+    # Some classes get one more than others; which ones is drawn at random.
+    rng.shuffle(shares)
     chosen = []
     for places, share in zip(members, shares, strict=True):
         n_rounds = -(-int(share) // len(places))
@@ -350,7 +355,7 @@ def _is_fast_at_bfloat16(device: str) -> bool:
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     try:
         words = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
-    except OSError:  # not Linux
+    except OSError:  # other systems than Linux have no such file
         return False
     return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 

@@ -47,7 +47,7 @@ class MotionSettings:
 
     Raises
     ------
-    ValueError : no variation, or a share outside of [0, 1].
+    ValueError : there is no variation, or the share is outside of [0, 1].
     """
 
     variations: int = 32
@@ -61,7 +61,7 @@ class MotionSettings:
             raise ParameterValueError("recorded", "must be in [0, 1]", self.recorded)
 
     def for_epochs(self, n: int) -> MotionSettings:
-        """The same without the variations that `n` epochs do not show."""
+        """The same settings without the variations that `n` epochs do not show."""
         return replace(self, variations=min(self.variations, n))
 
 
@@ -129,14 +129,14 @@ def write_moved(
     times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
     arrays = {
-        "refused": np.array([one.refused for one in paths]),
-        "spans": np.array([0 if one.refused else one.span for one in paths]),
-        "positions": np.array([one.positions for one in paths]),
+        "refused": np.array([path.refused for path in paths]),
+        "spans": np.array([0 if path.refused else path.span for path in paths]),
+        "positions": np.array([path.positions for path in paths]),
     }
     for v, windows in enumerate(moved):
         events = np.concatenate(windows)
         starts_us = window_us * np.arange(len(windows))
-        events["t"] += np.repeat(starts_us, [len(one) for one in windows])
+        events["t"] += np.repeat(starts_us, [len(window) for window in windows])
         arrays[f"moved_{v}"] = events.astype(stored)
     with replacing(path) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)

@@ -49,9 +49,7 @@ def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
 
 
 def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Four convolutions with batch norm and three max poolings, the mean over all places, a dense
-    layer.
-    """
+    """Four convolutions with batch norm, three max poolings, a mean over places, a dense layer."""
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),
@@ -224,7 +222,7 @@ def find_network(name: str) -> tuple[Build, int]:
 
     Raises
     ------
-    ValueError : no such network, file or function; or the file fails.
+    ValueError : the network, the file or the function does not exist, or the file fails.
     """
     if ":" not in name:
         if name not in NETWORKS:

@@ -153,8 +153,8 @@ class SceneScores:
         self._maker = SceneMaker(crops)
         self._reader = ObjectReader(model.logits_shape)
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
-        some = np.random.default_rng(0).permutation(len(windows))[: round(N_SCENES * OBJECTS)]
-        self._windows = windows[some]
+        chosen = np.random.default_rng(0).permutation(len(windows))[: round(N_SCENES * OBJECTS)]
+        self._windows = windows[chosen]
         self._within_px = REACH * min(crops.sensor)
 
     def after(self, pipeline: Pipeline, share: float) -> ObjectScores:

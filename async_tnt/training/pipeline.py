@@ -1,5 +1,6 @@
-"""The pipeline from windows to logits: trainable from end to end, and its way into a model file and
-back.
+"""The pipeline from windows to logits, which is trainable from end to end.
+
+It is written to a model file, and read from one.
 
 Volumes come from the kernels, networks are torch modules.
 
@@ -43,9 +44,9 @@ class Pipeline(nn.Module):
     Parameters
     ----------
     config : how events become volumes.
-    classifier : (N, C, H, W), volumes -> (N, n_classes), logits.
-    regressor : with landmark `regressor`: (N, C, H, W), raw volumes -> (N, 2), landmarks in grid
-        pixels.
+    classifier : module from volumes (N, C, H, W) to logits (N, n_classes).
+    regressor : module from raw volumes (N, C, H, W) to landmarks (N, 2) in grid pixels; only with
+        landmark `regressor`.
     scale, raw_scale : factors of the classifier's and of the regressor's input.
     """
 
@@ -148,8 +149,9 @@ def new_pipeline(
     logarithm: bool = False,
     grid: tuple[int, int] | None = None,
 ) -> Pipeline:
-    """Networks with PyTorch's initial weights, which depend on the seed alone; input scales
-    measured on `windows`.
+    """A pipeline with PyTorch's initial weights, and with input scales measured on `windows`.
+
+    The weights depend on the seed alone.
 
     Torch's global generator is left as it was.
 
@@ -182,7 +184,7 @@ def check_network(
     Parameters
     ----------
     name : see `build_network`.
-    config : of the volumes that it takes.
+    config : configuration of the volumes that the network takes.
     n_classes : number of classes.
     everywhere : whether it is to compute a map.
 
@@ -232,11 +234,11 @@ def input_scale(config: TNTConfig, windows: Windows) -> float:
     """
     n = min(N_MEASURED, len(windows))
     spread = np.linspace(0, len(windows) - 1, n).astype(np.int64)
-    some = windows[np.unique(spread)]
+    measured = windows[np.unique(spread)]
     volumes = BatchVolumes(config)
     mean_squares = []
-    for k in range(len(some)):  # one after another: together the volumes may be large
-        volume = volumes(some[k : k + 1])
+    for k in range(len(measured)):  # one after another: together the volumes may be large
+        volume = volumes(measured[k : k + 1])
         mean_squares.append(np.square(volume, dtype=np.float64).mean())
     return float(1.0 / np.sqrt(max(np.mean(mean_squares), 1e-12)))
 

@@ -27,7 +27,7 @@ class Plan:
     volume : how events become volumes.
     network : the classifier, see `training.networks.build_network`.
     epochs : number of epochs.
-    seed : of weights, order and augmentation.
+    seed : seed of the weights, the order of windows and the augmentation.
     everywhere : train a map model, on scenes.
     mirror : mirror half of the windows from left to right.
     has_pictures : whether the data set holds pictures.

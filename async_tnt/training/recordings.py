@@ -69,11 +69,11 @@ class Recordings:
         return middles
 
     def __add__(self, other: Recordings) -> Recordings:
-        both = {}
+        columns = {}
         for name in (*COLUMNS, "labels"):
-            both[name] = np.concatenate([getattr(self, name), getattr(other, name)])
+            columns[name] = np.concatenate([getattr(self, name), getattr(other, name)])
         offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
-        return Recordings(**both, offsets=offsets, names=self.names + other.names)
+        return Recordings(**columns, offsets=offsets, names=self.names + other.names)
 
     @classmethod
     def from_events(
@@ -92,7 +92,8 @@ class Recordings:
 
         Raises
         ------
-        TypeError, ValueError : not such events; see `RecordingsWriter.add`; or the lengths differ.
+        TypeError, ValueError : the events have another form, see `RecordingsWriter.add`, or the
+            lengths differ.
         """
         if names is None:
             names = [str(i) for i in range(len(labels))]
@@ -111,9 +112,9 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     Parameters
     ----------
-    folder : for the files of the columns, which are then mapped into memory: 9 bytes an event. The
-        files have no names, so they are gone with the program, however it ends. None: the columns
-        are in memory.
+    folder : the folder where the columns are written to files, 9 bytes an event. The files are
+        mapped into memory. They have no names, so they are gone with the program, however it ends.
+        None: the columns are in memory.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -141,7 +142,7 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         ----------
         events : structured array of `EVENT_DTYPE`.
         label : index of its class.
-        name : for messages and reports.
+        name : its name in messages and reports.
 
         Raises
         ------

@@ -1,5 +1,6 @@
-"""Other motions of the windows to train on: made once by several processes, kept in files beside
-the run.
+"""Other motions of the windows to train on.
+
+Several processes make them once, and they are kept in files beside the run.
 
     <folder>/motions.json          how they were made, and how well they match the recordings
     <folder>/training_000000.npz   windows from number 0 on under other motions, see `moved_windows`
@@ -96,7 +97,7 @@ def resynthesize(
     training, held_out : windows as recorded; the latter may be empty.
     config : how events become volumes; only its sensor and the window's length are used.
     settings : how many motions are made.
-    folder : for the files; made if missing.
+    folder : the folder of the files; made if missing.
     masked : bool, (H, W): pixels whose events are left out, as they are of the recordings; None: no
         pixel.
     workers : number of processes.
@@ -156,9 +157,9 @@ def resynthesize(
 def _calibrated(training: Windows, config: TNTConfig, seed: int) -> tuple[int, Calibration]:
     """The side of an image's cells, in pixels, and the simulated pixels, from some windows."""
     order = np.random.default_rng(seed).permutation(len(training))
-    some = np.sort(order[:N_CALIBRATION])
+    chosen = np.sort(order[:N_CALIBRATION])
     around_us = config.window_us * training.neighbours(config.window_us)
-    columns = [training.events(i, config.window_us, around_us[i]) for i in some]
+    columns = [training.events(i, config.window_us, around_us[i]) for i in chosen]
     cell = cell_for(columns, config.sensor)
     reconstruction = Reconstruction(config.sensor, config.window_us, cell)
     return cell, calibrate(reconstruction, columns, seed)
@@ -189,8 +190,10 @@ class _Chunk:
     file: Path
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state for another process: with the events of these windows and their neighbours
-        instead of all events."""
+        """The state for another process.
+
+        It holds the events of these windows and their neighbours instead of all events.
+        """
         margin_us = int(self.around_us.max(initial=0))
         return {**self.__dict__, "windows": self.windows.cut(self.window_us, margin_us)}
 
@@ -204,12 +207,12 @@ def _chunks(
     around_us = config.window_us * windows.neighbours(config.window_us)
     chunks = []
     for first in range(0, len(windows), step):
-        some = slice(first, first + step)
+        part_of_windows = slice(first, first + step)
         chunk = _Chunk(
             part=part,
             first=first,
-            windows=windows[some],
-            around_us=around_us[some],
+            windows=windows[part_of_windows],
+            around_us=around_us[part_of_windows],
             window_us=config.window_us,
             variations=variations,
             file=folder / f"{part}_{first:06}.npz",

@@ -1,5 +1,7 @@
-"""The run folder of a training: its checkpoint, history and learning curves, and which training may
-resume there."""
+"""The run folder of a training: its checkpoint, its history and its learning curves.
+
+A training resumes there only if it is the same one.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,8 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
-    # as an error of writing the file itself, such as a full disk, torch raises a RuntimeError
+    # If torch cannot write a file, as on a full disk, it raises a RuntimeError. So it writes into
+    # memory, and the file is written here.
     content = io.BytesIO()
     torch.save(dict(state), content)
     with replacing(run_folder / CHECKPOINT) as part:
@@ -78,7 +81,8 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
             state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
             written = state["identity"]["format"]
         except Exception as error:  # a damaged archive surfaces as any of a dozen types
-            kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
+            # The error's text is not repeated: torch's advises loading the file unsafely.
+            kind = type(error).__name__
             raise ValueError(
                 f"{path} is not a readable checkpoint ({kind}); remove it to start again"
             ) from error
@@ -100,8 +104,10 @@ def identity_of(
     motions: MotionSettings | None = None,
     teachers: Sequence[Model] = (),
 ) -> dict[str, Any]:
-    """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it
-    is the same."""
+    """A description of everything that decides the weights, for JSON.
+
+    A training resumes from a checkpoint only if its description is the same.
+    """
     own_file = settings.network.rpartition(":")[0]  # "module.py:build"
     return _plain(
         {
@@ -121,14 +127,16 @@ def identity_of(
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """As JSON gives them back: tuples are lists."""
+    """The values as JSON gives them back: tuples are lists."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(values)))
     return plain
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:
-    """A checksum of windows and of all events of their recordings, which may be larger than the
-    memory."""
+    """A checksum of windows and of all events of their recordings.
+
+    The events may be larger than the memory.
+    """
     checksum = 0
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
@@ -136,12 +144,12 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
     recordings = [training.recordings]
     if validation.recordings is not training.recordings:
         recordings.append(validation.recordings)
-    for one in recordings:
+    for columns in recordings:
         for name in ("offsets", *COLUMNS):
-            column = getattr(one, name)
+            column = getattr(columns, name)
             for first in range(0, len(column), CHUNK):
-                some = np.ascontiguousarray(column[first : first + CHUNK])
-                checksum = zlib.crc32(some.data, checksum)
+                part = np.ascontiguousarray(column[first : first + CHUNK])
+                checksum = zlib.crc32(part.data, checksum)
     return checksum
 
 

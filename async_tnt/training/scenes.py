@@ -106,7 +106,7 @@ class SceneMaker:
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """Scenes of all these windows, as `rng` draws them."""
         n = len(windows)
-        # on recordings of their own: a window that begins later must not show what came before
+        # A window that begins later must not show what came before: it becomes a recording.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
         windows = windows.cut(self.config.window_us)
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
@@ -126,8 +126,8 @@ class SceneMaker:
         volumes = self._noise(n_scenes, until_us, rng)
         position = np.full((n, 2), np.inf)
         for i in range(n):
-            there = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
-            place = self._place(there, rng)
+            taken = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
+            place = self._place(taken, rng)
             if place is not None:
                 position[i] = self._add(volumes[scene[i]], own[i], middles[i], place)
         is_object &= np.isfinite(position[:, 0])
@@ -160,8 +160,8 @@ class SceneMaker:
         Parameters
         ----------
         volume, own : the scene's volume, which is updated in place, and the recording's.
-        middle : of the object, (x, y) in pixels of the recording.
-        place : where it should be, (x, y) in pixels of the scene.
+        middle : the middle of the object, (x, y) in pixels of the recording.
+        place : where the middle should be, (x, y) in pixels of the scene.
 
         Returns
         -------
@@ -215,6 +215,6 @@ def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
     for i, (first, end) in enumerate(itertools.pairwise(windows.recordings.offsets)):
         last = first + np.searchsorted(windows.recordings.t[first:end], until_us[i])
         if first < last:
-            both = windows.recordings.x[first:last], windows.recordings.y[first:last]
-            middles[i] = np.percentile(both, OUTER, axis=1).mean(axis=0)
+            x_and_y = windows.recordings.x[first:last], windows.recordings.y[first:last]
+            middles[i] = np.percentile(x_and_y, OUTER, axis=1).mean(axis=0)
     return middles

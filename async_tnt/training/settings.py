@@ -165,8 +165,7 @@ class TrainSettings:
 
 
 def default_config(**changes: Any) -> TNTConfig:
-    """The volume that a data set is trained on by default: each pixel's counts of ON and of OFF
-    events.
+    """The default volume for training: each pixel's counts of ON and of OFF events.
 
     changes : values of other fields. For the grid see `default_grid`, for time bins `with_bins`.
     """
@@ -189,10 +188,10 @@ def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
 
 
 def default_grid(sensor: Sensor) -> Sensor:
-    """The default grid of a sensor, in its shape: as many cells as pixels, or `LONGER_SIDE` cells
-    along the longer side.
+    """The default grid of a sensor, with the sensor's ratio of sides.
 
-    No side is shorter than 16 cells, which the networks need.
+    A sensor of at most `LONGER_SIDE` pixels along its longer side gets a cell for each pixel. A
+    larger one gets `LONGER_SIDE` cells there. The networks need at least 16 cells along each side.
 
     Examples
     --------

@@ -1,5 +1,6 @@
-"""Pictures of a data set as recordings: simulated by several processes, kept in files beside the
-run.
+"""Simulated recordings of a data set's pictures.
+
+Several processes make them, and they are kept in files beside the run.
 
     <folder>/pictures.json          what the recordings are made of
     <folder>/training_000000.npz    recordings from number 0 on, those of a picture one after the
@@ -94,7 +95,9 @@ class LabelledPicture:
 
 
 def find_pictures(folder: Path) -> dict[str, list[Path]]:
-    """Class name -> its pictures to train on, sorted by name, for the classes that have any.
+    """The pictures to train on, by class name and sorted by name.
+
+    Classes without pictures are left out.
 
     Raises
     ------
@@ -187,7 +190,7 @@ def _check_left(
 ) -> None:
     """Refuse a class of pictures none of which can be read.
 
-    labels : of the classes of which something is left.
+    labels : the labels of the classes that still have pictures.
     """
     empty = [name for k, name in enumerate(classes) if name in found and k not in labels]
     if not empty:
@@ -214,7 +217,7 @@ def with_pictures(
     split : what is learned and what is held out, as indices of `recordings` and of `pictures` after
         them.
     settings : how pictures are recorded.
-    seed : of their recordings.
+    seed : seed of the simulated recordings.
     work : where events and simulated recordings are kept, and how many processes simulate.
 
     Returns
@@ -271,7 +274,7 @@ def simulate_pictures(
     Parameters
     ----------
     part : a key of `RECORDINGS`.
-    folder : for the files; made if missing.
+    folder : the folder of the files; made if missing.
 
     Returns
     -------
@@ -325,11 +328,11 @@ def _checksum(pictures: Sequence[LabelledPicture]) -> int:
 def _chunks(
     part: str, pictures: Sequence[LabelledPicture], takes: int, folder: Path, size: int
 ) -> list[_Chunk]:
-    """All recordings of a part, `size` of them in a file."""
-    every = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
+    """The tasks that record a part: `takes` recordings of a picture, `size` of them in a file."""
+    recordings = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
     return [
-        _Chunk(folder / f"{part}_{first:06}.npz", every[first : first + size])
-        for first in range(0, len(every), size)
+        _Chunk(folder / f"{part}_{first:06}.npz", recordings[first : first + size])
+        for first in range(0, len(recordings), size)
     ]
 
 
@@ -340,7 +343,7 @@ class _Chunk:
     Parameters
     ----------
     file : where the recordings go.
-    takes : for each recording its picture, the picture's number, and which of the picture's
+    takes : the recordings. Each is a picture, the picture's number, and which of the picture's
         recordings it is.
     """
 
@@ -358,11 +361,11 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
             rng = np.random.default_rng((*seed, i, take))
             recordings.append(record_picture(picture, settings, rng))
     columns: dict[str, Any] = {
-        name: np.concatenate([one[name].astype(dtype) for one in recordings])
+        name: np.concatenate([events[name].astype(dtype) for events in recordings])
         for name, dtype in COLUMNS.items()
     }
     with replacing(chunk.file) as part, part.open("wb") as file:
-        np.savez(file, sizes=np.array([len(one) for one in recordings]), **columns)
+        np.savez(file, sizes=np.array([len(events) for events in recordings]), **columns)
     return len(recordings)
 
 
@@ -405,8 +408,10 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
 def example_recordings(
     found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
 ) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """Examples for a figure: class, luminance of its first picture that can be read, and recordings
-    of that picture."""
+    """Examples for a figure: class, luminance and recordings of a picture.
+
+    The picture is the first one of the class that can be read.
+    """
     shown = []
     for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
         for path in paths:
@@ -435,9 +440,8 @@ def measure_camera(
 
     Raises
     ------
-    ValueError : not a recording, a recording of another sensor, or one that is no longer than a
-        window.
-    OSError : it cannot be read.
+    ValueError : the file is not a recording, is of another sensor, or is no longer than a window.
+    OSError : the file cannot be read.
     """
     recording = open_recording(path, sensor=sensor, **reading)
     if recording.stated_sensor not in (None, sensor):

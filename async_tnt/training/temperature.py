@@ -1,5 +1,6 @@
-"""Calibration: one factor on all logits, after which nine of ten decisions with probability .9 are
-right.
+"""Calibration: one factor on all logits.
+
+After it, nine of ten decisions with probability .9 are right.
 
     p = softmax(z / T)        T minimizes the negative log likelihood on held-out windows
 

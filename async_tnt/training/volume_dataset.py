@@ -88,5 +88,5 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
             raise IndexError(
                 f"`index` must be below {len(self)}, the number of windows, got {index}"
             )
-        some = self.windows[index : index + 1 or None]
-        return torch.from_numpy(self._volumes(some)[0].copy()), int(some.labels[0])
+        window = self.windows[index : index + 1 or None]
+        return torch.from_numpy(self._volumes(window)[0].copy()), int(window.labels[0])

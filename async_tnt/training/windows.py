@@ -56,16 +56,16 @@ class Windows:
         around_us : how long before and after the window events are also returned.
         """
         before_us, after_us = around_us
-        some = self._slice(i, -before_us, window_us + after_us)
+        part = self._slice(i, -before_us, window_us + after_us)
         recordings = self.recordings
-        t = recordings.t[some].astype(np.int64) - self.start_us[i]
-        return t, recordings.x[some], recordings.y[some], recordings.p[some]
+        t = recordings.t[part].astype(np.int64) - self.start_us[i]
+        return t, recordings.x[part], recordings.y[part], recordings.p[part]
 
     def neighbours(self, window_us: int) -> np.ndarray:
         """Whether the windows before and after each one are among these: int64, (N, 2), 0 or 1."""
         starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
-        there = set(starts)
-        beside = [[(r, t - window_us) in there, (r, t + window_us) in there] for r, t in starts]
+        known = set(starts)
+        beside = [[(r, t - window_us) in known, (r, t + window_us) in known] for r, t in starts]
         return np.array(beside, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:

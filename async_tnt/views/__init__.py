@@ -1,5 +1,4 @@
-"""What a stream looks like in the Rerun viewer: events, volumes, landmark, probabilities and
-decisions.
+"""A stream in the Rerun viewer: its events, volumes, landmark, probabilities and decisions.
 
     with RerunView("digits", out="seven.rrd") as view:
         for packet in open_recording("seven.bin"):

@@ -1,5 +1,7 @@
-"""What a map model finds, at some moments: the events of the open window, and a circle and a name
-for each object."""
+"""Draw what a map model finds at some moments.
+
+Each picture has the events of the open window, and a circle and a name for each object.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ RIGHTMOST = 0.85
 
 
 def draw_window_objects(window: Window, model: Model) -> Figure:
-    """A panel for each of `SHARES` of a window."""
+    """Draw a panel for each of `SHARES` of a window."""
     processor = Processor(model, start_us=window.start_us)
     decisions = []
     in_order = window.events[np.argsort(window.events["t"], kind="stable")]
@@ -51,7 +53,7 @@ def draw_objects(
     sensor: tuple[int, int],
     words: str,
 ) -> Figure:
-    """A panel for each decision.
+    """Draw a panel for each decision.
 
     Parameters
     ----------
@@ -67,8 +69,8 @@ def draw_objects(
         axes = axes_at(figure, EDGE + k * (side + GAP), TOP, side, side * height / width)
         since = (events["t"] >= decision.window_start_us) & (events["t"] <= decision.time_us)
         for p, colour in ((1, ON), (0, OFF)):
-            some = events[since & (events["p"] == p)]
-            axes.plot(some["x"], some["y"], ",", color=colour, alpha=0.6)
+            shown = events[since & (events["p"] == p)]
+            axes.plot(shown["x"], shown["y"], ",", color=colour, alpha=0.6)
         for found in decision.objects or ():
             _draw_object(axes, found, words_left=found.x > RIGHTMOST * width)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
@@ -79,7 +81,7 @@ def draw_objects(
 
 
 def _draw_object(axes: Any, found: Object, *, words_left: bool) -> None:
-    """A circle, with class and probability beside it."""
+    """Draw a circle, with class and probability beside it."""
     axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
     for text, down, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
         axes.annotate(

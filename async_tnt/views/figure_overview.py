@@ -1,5 +1,4 @@
-"""Everything about a recording on one page: events of a window, its volumes, and the decisions in
-time."""
+"""Draw a recording on one page: a window's events, its volumes, and the decisions in time."""
 
 from __future__ import annotations
 
@@ -65,7 +64,7 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     every_us = max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
-    # of each window
+    # The last decision of each window.
     last = [d for d in decisions if d.trigger in ("window", "end")]
     label, words = class_of_recording(subject.model.classes, [d.probabilities for d in last])
     headline(figure, f"{subject.name}: “{label}”, {words}")
@@ -80,8 +79,9 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
 def draw_classes(
     axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]
 ) -> None:
-    """Draw a line for each class, the likeliest ones in colour and named, and write each window's
-    decision above it.
+    """Draw a line for each class, and write each window's decision above it.
+
+    The likeliest classes have a colour and a name.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def draw_classes(
     x = np.insert(times, ends, np.nan)
     y = np.insert(probabilities, ends, np.nan, axis=0)
     likeliest = np.argsort(-probabilities.mean(axis=0), kind="stable")
-    # the likeliest on top
+    # The likeliest class is drawn last, on top.
     for rank, k in reversed(list(enumerate(likeliest))):
         look = {"color": GREY, "lw": 0.8}
         if rank < len(HIGHLIGHTS):

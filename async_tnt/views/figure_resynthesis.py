@@ -77,8 +77,10 @@ class RefusedWindow:
 def draw_resynthesis(
     windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()
 ) -> Figure:
-    """A row for each window: events as recorded, the image and path found in them, and events of
-    that image under this and other paths.
+    """Draw a row for each window.
+
+    It has the recorded events, the image and the path found in them, and events of that image
+    under this path and under others.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ def draw_resynthesis(
 def draw_recorded_pictures(
     pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int]
 ) -> Figure:
-    """A row for each picture: the picture, and its recordings.
+    """Draw a row for each picture: the picture, and its recordings.
 
     Parameters
     ----------
@@ -169,7 +171,7 @@ def _counts(events: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _draw_path(axes: Any, path: np.ndarray, sensor: tuple[int, int]) -> None:
-    """A path about the middle of the picture, with an arrow at its end."""
+    """Draw a path about the middle of the picture, with an arrow at its end."""
     x, y = (path - (path.min(0) + path.max(0)) / 2 + (np.array(sensor) - 1) / 2).T
     axes.plot(x, y, color="black", lw=1.4)
     far = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))

@@ -61,8 +61,10 @@ _STYLE: dict[str, Any] = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Give figures our style within the block. The user's settings do not matter and stay as they
-    are."""
+    """Give figures our style within the block.
+
+    The user's settings do not matter and stay as they are.
+    """
     import matplotlib.style
 
     return matplotlib.style.context(["default", _STYLE])
@@ -124,8 +126,9 @@ def check_picture(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a figure, drawn `styled`, in the format of the suffix. An existing file is replaced
-    when the new one is complete.
+    """Write a figure, drawn `styled`, in the format of the suffix.
+
+    An existing file is replaced when the new one is complete.
 
     Parameters
     ----------

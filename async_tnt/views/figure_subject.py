@@ -1,5 +1,4 @@
-"""What figures draw: a recording's events, where the transform puts each, its volumes, and the
-model that decides."""
+"""What figures draw of a recording: its events, raw and transformed, its volumes and the model."""
 
 from __future__ import annotations
 
@@ -61,7 +60,7 @@ class Subject:
 
         Raises
         ------
-        ValueError : it has no events.
+        ValueError : the window has no events.
         """
         window_us = self.config.window_us
         start_us = self.first_us + (number - 1) * window_us
@@ -111,8 +110,10 @@ class Window:
         return self._volume(raw_config).array, self._volume(config).array
 
     def coordinates(self) -> Coordinates:
-        """Where the transform puts each event: u = (x - l) / tau + c, with the landmark l that the
-        volume had for the event."""
+        """Where the transform puts each event: u = (x - l) / tau + c.
+
+        Here l is the landmark that the volume had for the event.
+        """
         config = self.subject.config
         pixels = np.stack([self.events["x"], self.events["y"]], axis=1)  # (N, 2)
         place = pixels * config.to_grid(1.0, 1.0)
@@ -167,8 +168,10 @@ class Coordinates(NamedTuple):
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
-    """Whether each value is on the grid, as `kernels.volume.splat.on_grid` has it: not nan or
-    inf."""
+    """Whether each value is on the grid; nan and inf are not.
+
+    `kernels.volume.splat.on_grid` has the same rule.
+    """
     return (values >= -BORDER_TOLERANCE) & (values <= upper + BORDER_TOLERANCE)
 
 

@@ -1,5 +1,7 @@
-"""One window: its events in space-time, raw (x, y, t) and transformed (u, v, t), and the bins of
-both volumes."""
+"""Draw one window: its events in space-time, and the bins of its volumes.
+
+Both are drawn twice: raw, with events at (x, y, t), and transformed, with events at (u, v, t).
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,10 @@ TALLEST = 1.9
 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
-    """Draw raw and transformed events side by side under their titles, and the legend, at the top
-    of a figure."""
+    """Draw raw and transformed events side by side at the top of a figure.
+
+    They have titles and a legend.
+    """
     config = window.subject.config
     events = window.events
     u, v, kept, _ = window.coordinates()
@@ -78,8 +82,11 @@ def transform_words(config: TNTConfig) -> str:
 
 
 def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
-    """Draw events as dots. Time goes to the right, x into the depth, y downwards: what the sensor
-    sees, in a row of moments."""
+    """Draw events as dots.
+
+    Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of
+    moments.
+    """
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
@@ -150,8 +157,10 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
-    """Draw rows of pictures over the figure's width, from `top` inches below its upper edge on, and
-    their colour bars."""
+    """Draw rows of pictures, and their colour bars, over the figure's width.
+
+    The first row begins `top` inches below the figure's upper edge.
+    """
     config = window.subject.config
     layers = layers_of_window(window)
     width, height = _picture(config, len(shown))

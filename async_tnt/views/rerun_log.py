@@ -1,5 +1,7 @@
-"""What is logged to Rerun for a picture and for the decisions since the previous one, and the
-viewer's layout."""
+"""What is logged to Rerun, and the viewer's layout.
+
+It is logged for each picture, and for the decisions since the previous one.
+"""
 
 from __future__ import annotations
 
@@ -135,17 +137,20 @@ class StreamLog:
     def write_decisions(self) -> None:
         """Write the decisions since the last picture, each at its own time."""
         n_left_out = self._n_pending - len(self._pending)
-        for d in self._pending:
-            span = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
-            label = "nothing" if d.label is None else d.label
-            text = f"{label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {span}"
+        for decision in self._pending:
+            span = f"{decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms"
+            label = "nothing" if decision.label is None else decision.label
+            what = f"{label}  {decision.probability:.3f}"
+            text = f"{what}  {decision.trigger}: {decision.events:,} events, {span}"
             if n_left_out:
                 text += f" ({n_left_out:,} decisions before it are not shown)"
                 n_left_out = 0
-            self._set_time(d.time_us)
-            level = "INFO" if d.complete or d.trigger == "end" else "TRACE"
+            self._set_time(decision.time_us)
+            # The viewer can hide the many early decisions, and keep the last one of each window.
+            is_last = decision.complete or decision.trigger == "end"
+            level = "INFO" if is_last else "TRACE"
             self._stream.log(DECISIONS, self._rr.TextLog(text, level=level))
-            self._log_probabilities(d)
+            self._log_probabilities(decision)
         self._pending.clear()
         self._n_pending = 0
 
@@ -204,7 +209,7 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
     uint8, shape (height, width), indexed [y, x]: NOTHING, OFF or ON.
     """
     image = np.zeros((sensor[1], sensor[0]), np.uint8)
-    # of several events at one pixel NumPy keeps the last
+    # Where several events have the same pixel, NumPy keeps the last one.
     image[events["y"], events["x"]] = OFF + events["p"]
     return image
 
@@ -242,8 +247,10 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
 
 
 def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
-    """A volume in which each block of factor x factor cells is one cell: the one of the largest
-    magnitude, with its sign."""
+    """A volume in which each block of factor x factor cells is one cell.
+
+    This is the cell of the block with the largest magnitude, and it keeps its sign.
+    """
     _, height, width = volume.shape
     rows = np.arange(0, height, factor)
     columns = np.arange(0, width, factor)
@@ -253,8 +260,10 @@ def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
 
 
 def class_text(now: Decision, classes: Sequence[str]) -> str:
-    """Markdown: the class of the open window at this moment, and the likeliest classes; of a map
-    model the objects."""
+    """A text in Markdown about the open window: its class, and the likeliest classes.
+
+    For a map model it lists the objects.
+    """
     if now.events == 0:
         return "# no event\n\nThe window has no event yet."
     if now.objects is not None:

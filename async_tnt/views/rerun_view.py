@@ -128,8 +128,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self._next_picture_s = 0.0
 
     def push(self, events: Any) -> list[Decision]:
-        """Classify a packet of `events` as `Processor.push` does, and log the pictures that are
-        due.
+        """Classify a packet as `Processor.push` does, and log the pictures that are due.
 
         Raises
         ------
@@ -171,8 +170,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return decisions
 
     def finish(self) -> list[Decision]:
-        """End the stream: log a last picture, and the decision of `Processor.finish` on the open
-        window."""
+        """End the stream: log a last picture, and what `Processor.finish` decides."""
         if self._origin_us is None:
             return []
         self._picture(self._newest_us + 1, last=True)
@@ -188,8 +186,10 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
 
     def _picture(self, at_us: int, last: bool = False) -> None:
-        """Log the state just before `at_us`; of a live stream only if the last picture is some time
-        ago."""
+        """Log the state just before `at_us`.
+
+        The state of a live stream is only logged if the last picture is some time ago.
+        """
         clock_s = time.perf_counter()
         now = self.processor.fire()
         events = np.concatenate(self._recent)
@@ -206,8 +206,10 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._next_check_s = clock_s + CHECK_S
 
     def _raw_volume(self, events: np.ndarray, now: Decision) -> np.ndarray:
-        """The open window's volume without the transform: float32, shape (C, H, W), valid until the
-        next call."""
+        """The open window's volume without the transform: float32, shape (C, H, W).
+
+        It is valid until the next call.
+        """
         self._raw.reset()
         self._raw.open(now.window_start_us)
         if now.events:
@@ -297,8 +299,10 @@ def _connect(stream: Any, url: str) -> None:
 
 @contextlib.contextmanager
 def _as_os_error(what: object) -> Iterator[None]:
-    """Turn an error of the SDK (a full disk, a viewer that was closed) into an OSError of one
-    line."""
+    """Turn an error of the SDK into an OSError of one line.
+
+    Such an error is a full disk, or a viewer that was closed.
+    """
     try:
         yield
     except RuntimeError as error:

@@ -206,7 +206,7 @@ class TNTConfig:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """(C, H, W), the shape of `TNTVolume.array`."""
+        """The shape (C, H, W) of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
 
     @property

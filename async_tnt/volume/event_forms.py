@@ -73,7 +73,8 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
 
     Raises
     ------
-    TypeError, ValueError : not a form of events; the message says what came and what is accepted.
+    TypeError, ValueError : the value is no form of events; the message says what came and what is
+        accepted.
     """
     if events is None:
         return None

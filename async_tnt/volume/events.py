@@ -197,7 +197,7 @@ class EventDecoder:
         width, height = self.sensor
         try:
             raw = np.frombuffer(events, np.uint8)
-        except ValueError:  # not contiguous
+        except ValueError:  # the memory is not contiguous
             return None
         first_us = load_records(raw, self._layout, n, width, height, t, x, y, p)
         if first_us == BAD:
@@ -219,7 +219,7 @@ class EventDecoder:
         width, height = self.sensor
         try:
             first_us = check_columns(t, x, y, p, width, height)
-        except (TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
+        except (TypeError, NumbaError):  # the kernel is not compiled for such an array
             return None
         if first_us == BAD:
             return None
@@ -384,9 +384,10 @@ def _check_range(
 
 
 def _check_polarity(polarity: np.ndarray) -> None:
-    """Refuse other values than 0 and 1, or -1 and +1, in one packet."""
+    """Raise a ValueError unless all polarities are 0 or 1, or all are -1 or +1."""
     is_off = polarity == 0
     allowed = is_off | (polarity == 1)
+    # A column that cannot hold -1 needs no comparison with it.
     if polarity.dtype.kind == "i" and not is_off.any():
         allowed |= polarity == -1
     if allowed.all():

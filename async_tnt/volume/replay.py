@@ -58,8 +58,8 @@ class ReplayBuffer:
 
     @one_at_a_time
     def reset(self) -> None:
-        """No events stored."""
-        # that of the newest event; None: not known yet
+        """Forget all stored events."""
+        # The landmark of the newest event; None: it is not known yet.
         self._landmark: tuple[float, float] | None = None
         self._is_replayed = True
 
@@ -160,7 +160,7 @@ class ReplayBuffer:
         if self._landmark is None:
             self._landmark = self._estimate(buffer)
         if self._regressor is None:
-            # not back from grid pixels, which are rounded
+            # The landmark's grid pixels are rounded, so they are not converted back.
             x, y = _centroid(buffer)
         else:
             x, y = self._config.to_sensor(*self._landmark)

@@ -11,7 +11,7 @@ Sensor = tuple[int, int]
 
 
 def format_size(size: Sensor) -> str:
-    """(346, 260) as `346x260`."""
+    """The text of a size, such as `346x260` for (346, 260)."""
     return f"{size[0]}x{size[1]}"
 
 

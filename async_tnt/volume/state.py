@@ -53,7 +53,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.SENSOR_W] = sensor_w
     ints[S.SENSOR_H] = sensor_h
 
-    # what it adds
+    # How an event changes a cell: by a sum or in another way.
     ints[S.COMBINE] = COMBINE_OF_IMAGE.get(config.representation, S.COMBINE_SUM)
     buffer[S.SIGN_ON] = 1.0
     buffer[S.SIGN_OFF] = -1.0 if config.polarity == "signed" else 1.0

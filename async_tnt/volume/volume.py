@@ -87,10 +87,10 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        # views of the copied memory, not copies of the views
+        # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
-        # from now on this volume differs from the one that it was copied from
+        # From now on this volume differs from the one that it was copied from.
         self._ints[S.EPOCH] = next_epoch()
 
     def __copy__(self) -> TNTVolume:
@@ -116,13 +116,14 @@ class TNTVolume:
         self._empty(0, UNOPENED)
 
     def set_limit(self, limit_us: int) -> None:
-        """Make `absorb` stop before events at or after `limit_us`; it always stops at the window's
-        end."""
+        """Make `absorb` stop before events at or after `limit_us`.
+
+        It always stops at the window's end.
+        """
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
     def set_decided_from(self, start_us: int) -> None:
-        """Count late events at or after `start_us` as `dropped_decided` while this window is
-        open."""
+        """Count late events from `start_us` on as `dropped_decided` while this window is open."""
         self._ints[S.DECIDED_FROM_US] = start_us
 
     def _empty(self, start_us: int, limit_us: int) -> None:
@@ -157,8 +158,11 @@ class TNTVolume:
         return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
-        -1/+1."""
+        """`update` for one event.
+
+        `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
+        or -1 or +1.
+        """
         # the lines of `absorb_one`, a call of which would cost another 40 ns
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
@@ -282,7 +286,7 @@ class TNTVolume:
         x = int(self._ints[S.SUM_X]) / n
         y = int(self._ints[S.SUM_Y]) / n
         if config.landmark == "line":
-            # before the next line: a replay may set the sums
+            # `_slopes` may replay the window, which sets the sums. So SUM_T is read after it.
             slope_x, slope_y = self._slopes()
             mean_f = int(self._ints[S.SUM_T]) / n / float(self._buffer[S.WINDOW_US])
             x -= slope_x * mean_f

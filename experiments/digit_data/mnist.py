@@ -21,8 +21,9 @@ _PREFIX = {"train": "train", "test": "t10k"}
 
 
 def load_mnist(folder: str | os.PathLike[str], split: str) -> tuple[np.ndarray, np.ndarray]:
-    """MNIST's images, uint8 of shape (N, 28, 28), 255 = stroke, and labels, uint8 of shape (N,),
-    0-9.
+    """MNIST's images and labels.
+
+    Images are uint8 of shape (N, 28, 28), 255 = stroke. Labels are uint8 of shape (N,), 0-9.
 
     Parameters
     ----------

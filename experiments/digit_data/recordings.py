@@ -1,5 +1,4 @@
-"""Recordings of digits to train on, N-MNIST's and simulated ones, and the windows that `digits`
-learned from."""
+"""Recordings of digits to train on, from N-MNIST and simulated, and the windows of `digits`."""
 
 from __future__ import annotations
 
@@ -60,10 +59,10 @@ def read_nmnist_folder(
         labels += [int(digit)] * len(of_digit[:per_digit])
     events = []
     with progress(len(found), "reading") as bar:
-        for one in found:
+        for recording in found:
             bar.update()
-            events.append(read_nmnist(one.path))
-    return Recordings.from_events(events, labels, [one.name for one in found])
+            events.append(read_nmnist(recording.path))
+    return Recordings.from_events(events, labels, [recording.name for recording in found])
 
 
 def simulate_recordings(
@@ -74,8 +73,9 @@ def simulate_recordings(
     leave_out: Collection[int] = (),
     progress: Callable[..., Bar] = Bar,
 ) -> Recordings:
-    """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX`
-    on.
+    """Simulate `n` recordings of different MNIST training images.
+
+    The images are drawn from index `FIRST_INDEX` on.
 
     Each has its own random generator, seeded by (seed, index of the image).
 
@@ -105,14 +105,16 @@ def simulate_recordings(
 
 
 def recording_numbers(names: Iterable[str]) -> list[int]:
-    """The numbers in names of N-MNIST's recordings: `3/00001.bin` is number 1. Names without a
-    number are left out."""
+    """The numbers in names of N-MNIST's recordings: `3/00001.bin` is number 1.
+
+    Names without a number are left out.
+    """
     stems = [Path(name).stem for name in names]
     return [int(stem) for stem in stems if stem.isdigit()]
 
 
 def saccade(windows: Windows) -> np.ndarray:
-    """In which saccade of its N-MNIST recording each window starts: 0, 1 or 2."""
+    """The saccade of its N-MNIST recording in which each window starts: 0, 1 or 2."""
     return windows.start_us // SACCADE_US
 
 
@@ -149,14 +151,16 @@ def digits_data(
     seed: int = 0,
     progress: Callable[..., Bar],
 ) -> TrainingData:
-    """N-MNIST's Train, a tenth of its recordings held out, with simulated recordings of MNIST; and
-    its Test.
+    """N-MNIST's Train and Test, and simulated recordings of MNIST to train on.
+
+    A tenth of Train's recordings is held out.
 
     Parameters
     ----------
-    folder, mnist : of N-MNIST and of MNIST.
+    folder : folder of N-MNIST.
+    mnist : folder of MNIST.
     simulated : how many of MNIST's images to simulate.
-    seed : of the split and of the simulation.
+    seed : seed of the split and of the simulation.
     """
     recordings = read_nmnist_folder(folder / "Train", progress=progress)
     n_real = len(recordings)

@@ -1,5 +1,6 @@
-"""Windows of N-MNIST, one saccade each, with all of their events, or with a fifth, as few as hands
-give.
+"""Windows of N-MNIST, one saccade each.
+
+They have all of their events, or a fifth of them, which is as few as hands give.
 
 N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about
 two.
@@ -36,7 +37,7 @@ def write(
     n : recordings of each digit; each gives one window, of one of `saccades` in turn. None: all
         recordings, and each gives a window of every one of `saccades`.
     source : N-MNIST's Train or Test, with `<digit>/*.bin`.
-    share : of the events that is kept.
+    share : share of the events that is kept.
     """
     rng = np.random.default_rng(seed)
     for digit in CLASSES:

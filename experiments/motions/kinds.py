@@ -72,7 +72,7 @@ class Motion:
     name : such as "036deg-5px"; names sort like indices.
     direction_deg, distance_px : direction and length of the displacement; None for "nmnist". Of a
         path that comes back, as far as it goes; of a loop, its first side.
-    shape : of the path: "line", "back" or "loop".
+    shape : shape of the path: "line", "back" or "loop".
     """
 
     kind: str
@@ -89,8 +89,10 @@ class Motion:
 
     @property
     def flow_times_us(self) -> np.ndarray:
-        """Times to sample the optical flow at, int64, shape (K,): half time alone where the flow is
-        constant."""
+        """Times to sample the optical flow at, int64, shape (K,).
+
+        Where the flow is constant, this is half time alone.
+        """
         if self.kind.removesuffix(FROM_CENTRE) == "constant":
             return np.array([self.duration_us // 2], np.int64)
         return np.arange(0, self.duration_us + 1, FLOW_STEP_US, dtype=np.int64)
@@ -143,15 +145,19 @@ class Motion:
 
 
 def flow_of(trajectory: Trajectory, times_us: np.ndarray) -> np.ndarray:
-    """Optical flow (vx, vy), in pixels per second, shape (K, 2): the derivative of the
-    displacement, by differences over two microseconds."""
+    """Optical flow (vx, vy), in pixels per second, shape (K, 2).
+
+    It is the derivative of the displacement, by differences over two microseconds.
+    """
     after = np.stack(trajectory.position(times_us + 1.0), axis=1)
     before = np.stack(trajectory.position(times_us - 1.0), axis=1)
     return np.asarray((after - before) / 2e-6)
 
 
 def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
-    """All motions of a kind, by index: one of "nmnist", 30 of the others, direction by direction.
+    """All motions of a kind, in order of their index.
+
+    The kind "nmnist" has one motion. Every other kind has 30: three for each of ten directions.
 
     Raises
     ------
@@ -168,19 +174,13 @@ def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
         )
     if kind == "nmnist":
         return (Motion(kind, 0, "nmnist", None, None),)
-    paths = (
-        list(BEYOND_PX.items())
-        if kind == "beyond"
-        else [("line", distance) for distance in DISTANCES_PX]
-    )
-    return tuple(
-        Motion(
-            kind,
-            i,
-            f"{direction:03}deg-{f'{px}px' if shape == 'line' else shape}",
-            direction,
-            px,
-            shape,
-        )
-        for i, (direction, (shape, px)) in enumerate(itertools.product(DIRECTIONS_DEG, paths))
-    )
+    if kind == "beyond":
+        paths = list(BEYOND_PX.items())
+    else:
+        paths = [("line", distance) for distance in DISTANCES_PX]
+    motions: list[Motion] = []
+    for direction, (shape, px) in itertools.product(DIRECTIONS_DEG, paths):
+        path = f"{px}px" if shape == "line" else shape
+        name = f"{direction:03}deg-{path}"
+        motions.append(Motion(kind, len(motions), name, direction, px, shape))
+    return tuple(motions)

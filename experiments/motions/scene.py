@@ -22,8 +22,9 @@ from async_tnt.kernels.jit import compiled
 
 @dataclass(frozen=True)
 class Scene:
-    """What the sensor looks at. The defaults are fitted to N-MNIST: `experiments/RESULTS.md`
-    compares them.
+    """What the sensor looks at.
+
+    The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
 
     Attributes
     ----------

@@ -57,8 +57,9 @@ class ConstantVelocity:
         centre: tuple[float, float] = (3.0, 3.0),
         duration_us: int = 105_000,
     ) -> ConstantVelocity:
-        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half of
-        `duration_us`.
+        """Motion at `speed` pixels per second towards `angle_deg`.
+
+        It passes `centre` at half of `duration_us`.
 
         0 degrees is to the right, 90 downwards (y grows downwards).
         """

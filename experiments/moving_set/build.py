@@ -44,7 +44,7 @@ class _Job:
     images: np.ndarray
     labels: np.ndarray
     seed: int
-    settings: dict[str, Any]  # of `simulate_digit`
+    settings: dict[str, Any]  # parameters of `simulate_digit`
     metadata: dict[str, Any]
 
 
@@ -72,11 +72,11 @@ def build(
     out_folder : made if missing.
     split : "train" or "test".
     which : indices of images; all by default.
-    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond" (30
-        motions), or "nmnist" (1).
-    workers : processes; one per core by default. A script with more than one needs `if __name__ ==
-        "__main__":`.
-    scene, frame_us : as in `simulate_digit`.
+    kind : kind of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond"
+        (30 motions), or "nmnist" (1).
+    workers : number of processes; one per core by default. A script with more than one needs
+        `if __name__ == "__main__":`.
+    scene, frame_us : see `simulate_digit`.
 
     Raises
     ------

@@ -1,5 +1,6 @@
-"""A simulated set compared with N-MNIST: the same statistics of real recordings, of their
-simulations, and of the set.
+"""A simulated set compared with N-MNIST.
+
+The same statistics are computed of real recordings, of their simulations, and of the set.
 
 The second column simulates the images that the real recordings show, under N-MNIST's own saccades:
 it shows how good the simulator is. The third shows how the set's motions differ from N-MNIST's,
@@ -111,16 +112,15 @@ def _describe_set(
 def describe_motions(
     recordings: Iterable[np.ndarray], cuts_us: Sequence[int], directions_deg: Sequence[float]
 ) -> dict[str, float]:
-    """`describe` over all saccades, and where their ON events are, on average, relative to their
-    OFF events.
+    """`describe` over all saccades, and how far ON events are from OFF events, on average.
 
     Parameters
     ----------
     recordings : structured arrays in order of time.
     cuts_us : where saccades begin, and where the last one ends.
-    directions_deg : of the motion in each saccade of a recording, or in each recording of one
-        saccade; 0 to the right, 90 downwards. ON events trail the motion where their centroid is
-        behind that of the OFF events.
+    directions_deg : direction of the motion in each saccade of a recording or, where recordings
+        have one saccade, in each recording; 0 to the right, 90 downwards. ON events trail the
+        motion where their centroid is behind that of the OFF events.
     """
     saccades = [
         events[a:b]
@@ -153,8 +153,9 @@ def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.
 
 
 def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]:
-    """The split of MNIST that is shown, `split` if any recording shows it, and image index ->
-    recording.
+    """The split of MNIST that the recordings show, and the recordings by image index.
+
+    The split is `split` if any recording shows it.
 
     Recording n shows image n, counted from 1, of the same official set. Recordings above 60,000
     show image n - 60,000 of the test set.

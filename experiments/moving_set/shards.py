@@ -148,7 +148,7 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
 
 
 def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
-    """The format's rules, for writer and reader alike."""
+    """Check the format's rules, for writer and reader alike."""
     t = columns["t"]
     offsets = columns["offsets"]
     times = columns["flow_times_us"]

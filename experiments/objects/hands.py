@@ -1,5 +1,6 @@
-"""Recordings of single grey objects that a hand swings by two or three pixels in front of a sensor
-of 128x128.
+"""Recordings of single grey objects in front of a sensor of 128x128.
+
+A hand swings them by two or three pixels.
 
 Half a swing takes 75 to 100 ms; in some recordings the hand turns round and comes back. Meanwhile
 the object turns by a few degrees and comes nearer or goes away. Pixels with events have about two,
@@ -73,8 +74,8 @@ Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 class HandSession:
     """What differs from one day to the next.
 
-    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the
-        first.
+    threshold : mean threshold of the pixels, in log luminance.
+    mismatch : standard deviation of the logarithm of the pixels' thresholds.
     noise_hz : events of noise a second, of each pixel.
     size : radius of the objects, in pixels.
     place : where they are from the middle of the sensor, in pixels.
@@ -148,8 +149,10 @@ SHAPES: Mapping[str, Distance] = {
 
 @cache
 def _table(name: str) -> np.ndarray:
-    """The distance at all places within `FAR`, `STEP` apart: computing it for each picture would
-    take a second."""
+    """The distance at all places within `FAR`, `STEP` apart.
+
+    To compute it for each picture would take a second.
+    """
     places = np.arange(-FAR, FAR, STEP)
     return SHAPES[name](*np.meshgrid(places, places)).astype(np.float32)
 
@@ -167,8 +170,10 @@ def _distance(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def record(
     name: str, direction: float, rng: np.random.Generator, session: HandSession
 ) -> dict[str, np.ndarray]:
-    """Columns t, x, y, p of one recording of an object that a hand swings in `direction`, in
-    radians."""
+    """Columns t, x, y, p of one recording of an object that a hand swings.
+
+    It swings in `direction`, in radians.
+    """
     width, height = SENSOR
     angle = direction + SPREAD * rng.standard_normal()
     length = rng.uniform(*SWING_PX)
@@ -194,12 +199,12 @@ def record(
     def seen() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
             u = np.clip((share - begins) / lasts, 0, 1)
-            # out; where the hand turns round, also back
+            # The object moves out. If the hand turns round, the object also moves back.
             phase = u / turns_at if is_back else u
             way = (1 - np.cos(np.pi * phase)) / 2
-            gone = length * way
-            x = column[near] - origin[0] - gone * np.cos(angle)
-            y = row[near] - origin[1] - gone * np.sin(angle)
+            moved = length * way
+            x = column[near] - origin[0] - moved * np.cos(angle)
+            y = row[near] - origin[1] - moved * np.sin(angle)
             cos = np.cos(posture + turn * way)
             sin = np.sin(posture + turn * way)
             scale = size * (1 + nearer * way)
@@ -234,8 +239,10 @@ def _with_after_pulses(
 def write(
     folder: Path, n: int, directions: tuple[float, ...], seed: int, session: HandSession
 ) -> Path:
-    """`n` recordings of each class, whose directions take turns, as
-    `folder/<class>/<number>.npz`."""
+    """Write `n` recordings of each class as `folder/<class>/<number>.npz`.
+
+    Their directions take turns.
+    """
 
     def recorded(name: str, i: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         return record(name, directions[i % len(directions)], rng, session)

@@ -37,8 +37,8 @@ SUBPIXELS = 2
 class Session:
     """What may differ from one day to the next.
 
-    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the
-        first.
+    threshold : mean threshold of the pixels, in log luminance.
+    mismatch : standard deviation of the logarithm of the pixels' thresholds.
     noise_hz : events of noise a second, of each pixel.
     size, place : a factor of the objects' size, and where they are from the middle of the sensor,
         in pixels.
@@ -82,9 +82,9 @@ def record(
 
     def seen() -> Iterator[np.ndarray]:
         for u in np.arange(STEPS + 1) / STEPS:
-            gone = length * (u + speed_up * u * (1 - u) - 0.5)
-            x = fine_x - origin[0] - gone * np.cos(direction)
-            y = fine_y - origin[1] - gone * np.sin(direction)
+            moved = length * (u + speed_up * u * (1 - u) - 0.5)
+            x = fine_x - origin[0] - moved * np.cos(direction)
+            y = fine_y - origin[1] - moved * np.sin(direction)
             light = np.exp(slope[0] * x + slope[1] * y)
             for shape, place, size, turn, grey in objects:
                 a = (x - place[0]) / size
@@ -106,8 +106,11 @@ def pixel_events(
     steps: int,
     rng: np.random.Generator,
 ) -> list[np.ndarray]:
-    """t, x, y, p of what pixels with thresholds (H, W) give while they see the log luminance of
-    `steps` + 1 pictures, and of noise; not in order, times float."""
+    """Events t, x, y, p of pixels that see `steps` + 1 pictures, and of noise.
+
+    The pictures hold log luminance, and the pixels have thresholds (H, W). The events are not
+    in order, and their times are float.
+    """
     level = None
     parts = []
     for step, light in enumerate(seen):
@@ -140,8 +143,10 @@ def in_order(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict
 def write(
     folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()
 ) -> Path:
-    """Write `n` recordings of each class, whose directions take turns, as
-    `folder/<class>/<number>.npz`."""
+    """Write `n` recordings of each class as `folder/<class>/<number>.npz`.
+
+    Their directions take turns.
+    """
 
     def recorded(name: str, i: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         return record(name, directions[i % len(directions)], rng, session)
@@ -156,8 +161,9 @@ def write_classes(
     seed: int,
     record: Callable[[str, int, np.random.Generator], dict[str, np.ndarray]],
 ) -> Path:
-    """Write `n` recordings of each class, each with a generator of its own, as
-    `folder/<class>/<number>.npz`.
+    """Write `n` recordings of each class as `folder/<class>/<number>.npz` files, with generators.
+
+    Each recording has a generator of its own.
 
     record : called with class, number and generator; returns columns.
     """

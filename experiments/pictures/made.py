@@ -1,5 +1,4 @@
-"""Pictures of six objects before a background, and recordings of the same objects in other
-pictures.
+"""Pictures of six objects before a background, and recordings of them in other pictures.
 
 Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2,
 light from aside, before other textures; each picture shows another one of its kind. The recordings
@@ -134,7 +133,7 @@ def _texture(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def write_pictures(folder: Path, n: int, seed: int) -> Path:
-    """`n` colour pictures of each class, `folder/<class>/<number>.jpg`."""
+    """Write `n` colour pictures of each class as `folder/<class>/<number>.jpg`."""
     from PIL import Image
 
     for label, name in enumerate(CLASSES):
@@ -149,26 +148,32 @@ def write_pictures(folder: Path, n: int, seed: int) -> Path:
 
 
 def write_recordings(folder: Path, n: int, seed: int) -> Path:
-    """`n` recordings of each class, each of another object, `folder/<class>/<number>.npz`."""
+    """Write `n` recordings of each class, each of another object, and return the folder.
+
+    Their names are `folder/<class>/<number>.npz`.
+    """
     return write_classes(folder, CLASSES, n, seed, lambda name, _, rng: _record(name, rng))
 
 
 def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """A camera that swings before a picture: half a cosine, and a little back in some."""
+    """Columns t, x, y, p of a camera that swings before a picture.
+
+    It moves by about half a period of a cosine. If it turns before the end, it moves back a little.
+    """
     light = np.log(picture(name, rng))
     width, height = SENSOR
     step = SIDE / (min(SENSOR) * rng.uniform(*IN_VIEW))  # picture pixels in a sensor pixel
     row, column = np.mgrid[:height, :width]
     angle = rng.uniform(0, 2 * np.pi)
     length = rng.uniform(*LENGTH_PX)
-    where = rng.uniform(-3, 3, 2)
+    offset = rng.uniform(-3, 3, 2)
     turns_at = rng.uniform(0.7, 1.3)
 
     def seen() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
-            gone = length * ((1 - np.cos(np.pi * share / turns_at)) / 2 - 0.5)
-            x = SIDE / 2 + step * (column - width / 2 - where[0] - gone * np.cos(angle))
-            y = SIDE / 2 + step * (row - height / 2 - where[1] - gone * np.sin(angle))
+            moved = length * ((1 - np.cos(np.pi * share / turns_at)) / 2 - 0.5)
+            x = SIDE / 2 + step * (column - width / 2 - offset[0] - moved * np.cos(angle))
+            y = SIDE / 2 + step * (row - height / 2 - offset[1] - moved * np.sin(angle))
             yield _bilinear(light, np.clip(x, 0, SIDE - 1.001), np.clip(y, 0, SIDE - 1.001))
 
     threshold = rng.uniform(0.15, 0.3) * np.exp(0.1 * rng.standard_normal((height, width)))

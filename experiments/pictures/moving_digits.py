@@ -1,5 +1,6 @@
-"""How models read MNIST's test images in motions, lights and at speeds that N-MNIST does not have:
-simulated windows.
+"""How models read MNIST's test images in simulated windows.
+
+The windows have motions, lights and speeds that N-MNIST does not have.
 
 motions   the 30 of N-MOVING-MNIST, dark digits and bright ones
 speeds    N-MNIST's own three saccades at a quarter to four times their speed, in windows in
@@ -52,7 +53,7 @@ def accuracies(
 
     Parameters
     ----------
-    images, labels : of MNIST.
+    images, labels : the test images of MNIST and their labels.
     """
     found: dict[str, dict[str, list[float]]] = {}
     with progress(2 * len(motions_of()) + len(SPEEDS), "digits in other motions") as bar:
@@ -69,7 +70,7 @@ def accuracies(
 
 
 def _windows(images: np.ndarray, labels: np.ndarray) -> Iterator[tuple[str, str, Windows, int]]:
-    """Test, case, windows, and their length."""
+    """The windows of each case of a test, as (test, case, windows, length of a window)."""
     for test, scene in (
         ("dark on bright", Scene()),
         ("bright on dark", Scene(dark_on_bright=False)),

@@ -51,8 +51,10 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> No
 
 
 def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
-    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters, and each
-    another shape; not those that draw them as another font does."""
+    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters.
+
+    A font must draw each character with another shape, and not as an earlier font draws it.
+    """
     with needs_extra("plot", "fonts are matplotlib's"):
         from matplotlib import get_data_path
         from PIL import ImageFont

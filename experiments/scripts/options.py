@@ -1,5 +1,7 @@
-"""What the commands of this folder share: options, how they end, and the files and pictures that
-they write."""
+"""What the commands of this folder share.
+
+These are options, how they end, and the files and pictures that they write.
+"""
 
 from __future__ import annotations
 
@@ -59,8 +61,10 @@ def picture_parser(name: str, description: str | None) -> argparse.ArgumentParse
 def script_parser(
     name: str, description: str | None, quick: str, *, draws: bool = False
 ) -> argparse.ArgumentParser:
-    """`plain_parser` with --quick and --json. If the command draws, it has --picture and --from,
-    too."""
+    """`plain_parser` with --quick and --json.
+
+    If the command draws, it has --picture and --from, too.
+    """
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
     add_json(parser)
@@ -83,8 +87,10 @@ def run_script(
     name: str,
     draw: Callable[[Any], Any] | None = None,
 ) -> int:
-    """Measure (given --quick) or read, print the tables of report `name`, and write JSON and the
-    picture if asked. Returns the exit code: 1 if backends do not agree."""
+    """Measure or read report `name`, print its tables, and write JSON and the picture if asked.
+
+    `measure` is called with --quick. Returns the exit code: 1 if backends do not agree.
+    """
     args = parser.parse_args(argv)
     try:
         source = getattr(args, "source", None)
@@ -107,8 +113,10 @@ def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
-    """Print what RESULTS.md would show of this report, what each row does, and what is left out
-    and why."""
+    """Print what RESULTS.md would show of this report.
+
+    It also prints what each row does, and what is left out and why.
+    """
     from experiments.tables.sections import SECTIONS
 
     for section in SECTIONS:
@@ -148,8 +156,10 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 
 
 def exit_with(main: Callable[[], int]) -> NoReturn:
-    """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130
-    Ctrl-C."""
+    """Run a command, and end the process with its exit code.
+
+    An error is printed in one line. The exit code of bad input is 2, that of Ctrl-C is 130.
+    """
 
     def show(message: Warning | str, *where: Any, **more: Any) -> None:
         _print_line(f"warning: {message}")

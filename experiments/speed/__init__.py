@@ -1,2 +1,4 @@
-"""What measures time: moments of a stream, engines to compare with, and loops that let them
-take turns."""
+"""Tools that measure time.
+
+They are moments of a stream, engines to compare with, and loops that let them take turns.
+"""

@@ -1,5 +1,7 @@
-"""The engines that run a model's classifier, to be compared: each on one thread, as users call
-it."""
+"""The engines that run a model's classifier and are compared.
+
+Each runs on one thread, as users call it.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""The picture of `experiments/decisions.py`: microseconds per decision against events since the
-previous one."""
+"""The picture of `experiments/decisions.py`.
+
+It draws microseconds per decision against the number of events since the previous decision.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +56,11 @@ WAYS = {
 
 
 def draw_decisions(report: dict[str, Any]) -> Figure:
-    """Two panels on one logarithmic axis: the network alone, and from a packet to the decision.
-    Medians and quartiles in blocks, lines named at their ends; medians from call to call are
-    hollow."""
+    """Draw two panels with one logarithmic axis, for the network alone and for whole decisions.
+
+    A whole decision is the time from a packet to the decision. Lines have medians and quartiles in
+    blocks, and a name at their end. Medians from call to call are hollow.
+    """
     figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)
     right = axes_at(figure, 5.67, 0.82, 2.7, 3.07, sharey=left)

@@ -1,5 +1,7 @@
-"""From a packet of new events to the decision: by the stream, and by computing the window's volume
-again."""
+"""The time from a packet of new events to the decision.
+
+The stream is compared with computing the window's volume again.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,7 @@ class Stream:
         old = len(moment.events) - moment.n_new
         if old > self._n:
             self._processor.push(moment.events[self._n : old])
-        # memory of its own, as a driver hands it over
+        # A driver hands over new memory each time.
         self._packet = moment.events[old:].copy()
         self._n = len(moment.events)
 
@@ -92,8 +94,10 @@ class TorchRebuild:
 
 
 class EventcvRebuild:
-    """eventcv's voxel grid of the window so far, and a network on it: of the sensor's size and
-    signed, as the volume of `digits`."""
+    """eventcv's voxel grid of the window so far, and a network on it.
+
+    The grid has the sensor's size and is signed, as the volume of `digits`.
+    """
 
     def __init__(self, model: Model, network: Network) -> None:
         self._config = model.config

@@ -25,14 +25,15 @@ def bench_every_event(
     rounds: int,
     n_events: int | None = None,
 ) -> dict[str, Any]:
-    """Time `Processor(model, every_events=1)` on recordings in packets, with its own network and
-    with others as its classifier.
+    """Time `Processor(model, every_events=1)` with its own network and with other classifiers.
+
+    The recordings are pushed in packets.
 
     Parameters
     ----------
-    networks : dense ones, by name.
-    recordings : round k uses number k, for all backends.
-    n_events : of each recording, the first ones; None for all.
+    networks : dense networks, by name.
+    recordings : recordings; round k uses number k, for all backends.
+    n_events : number of events that are used, the first ones of each recording; None for all.
 
     Returns
     -------
@@ -72,8 +73,10 @@ def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision
 
 
 def in_full(network: Network) -> Network:
-    """The network as a plain callable: of a CompiledClassifier, a Processor would compute only what
-    changed."""
+    """The network as a plain callable.
+
+    A Processor would let a CompiledClassifier compute only what has changed.
+    """
     return (lambda volume: network(volume)) if isinstance(network, CompiledClassifier) else network
 
 

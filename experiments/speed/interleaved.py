@@ -35,8 +35,10 @@ class Backend(Protocol):
     """Makes decisions at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
-        """Not timed. The previous call was for this moment's `before`, or the moment is that
-        itself."""
+        """Not timed.
+
+        The previous call was for this moment's `before`, or the moment is that itself.
+        """
 
     def decide(self) -> np.ndarray | None:
         """Timed. Returns the logits; None if they cannot be compared."""
@@ -52,8 +54,12 @@ class Timed:
     largest_difference: float = 0.0
 
     def report(self) -> dict[str, Any]:
-        """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the
-        first one: of each decision, or of each block's median if backends ran in blocks."""
+        """The times of each backend, and their ratios to those of the first one.
+
+        "us" has the `latency` of each backend. "ratio" has the `spread` of its time over
+        that of the first one. This is a ratio for each decision or, if backends ran in
+        blocks, for each block's median.
+        """
         first = next(iter(self.us))
         parts = {
             name: us.ravel() if self.call_by_call else np.median(us, axis=1)
@@ -79,7 +85,7 @@ def compare(
     Parameters
     ----------
     make : makes new backends; ratios are over the first. Called with True for `call_by_call`.
-    blocks : as `Moments.blocks`.
+    blocks : see `Moments.blocks`.
     n_blocks, size : number of blocks, and of decisions in each.
 
     Returns
@@ -100,9 +106,12 @@ def compare(
 def timed(
     backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_by_call: bool
 ) -> Timed:
-    """Every backend decides at all moments of a block before the next backend does, in an order
-    that alternates; or, call by call, every one decides at a moment, then at the next one, in a new
-    random order each time (fixed seed)."""
+    """Let the backends take turns at the moments, in blocks or call by call.
+
+    In blocks, every backend decides at all moments of a block before the next backend does, in
+    an order that alternates. Call by call, every backend decides at a moment, then at the next
+    moment, in a new random order each time (fixed seed).
+    """
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst = 0.0
     rng = np.random.default_rng(0)
@@ -149,8 +158,9 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
 
 
 def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
-    """The largest difference between logits of one moment, as a share of the largest logit where
-    that is above 1.
+    """The largest difference between logits of one moment.
+
+    It is a share of the largest logit where that is above 1.
 
     where : the moment, for the error.
 

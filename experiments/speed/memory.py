@@ -7,8 +7,10 @@ import sys
 
 
 def resident_mb() -> float:
-    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its
-    peak."""
+    """Resident memory of this process in MB (2^20 bytes).
+
+    If the system does not report it, this is its peak.
+    """
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

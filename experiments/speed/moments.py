@@ -35,8 +35,9 @@ class Moment:
 
 
 class Moments:
-    """All moments of some windows, repeated without end: windows follow each other and time
-    continues.
+    """All moments of some windows, repeated without end.
+
+    The windows follow each other, and time continues.
 
     A window's first event precedes its first moment, so that opening a window is never part of a
     decision.
@@ -45,8 +46,8 @@ class Moments:
     ----------
     windows : structured arrays of `EVENT_DTYPE`, in order of time, times counted from the window's
         start.
-    window_us : from one start to the next.
-    n_new : events between two moments.
+    window_us : time from the start of a window to the start of the next, in microseconds.
+    n_new : number of events between two moments.
 
     Raises
     ------
@@ -83,8 +84,10 @@ class Moments:
         return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
 
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
-        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap, or over as
-        many as they need."""
+        """`n_blocks` runs of `size` consecutive moments.
+
+        They are spread evenly over one lap, or over as many laps as they need.
+        """
         step = max(size, self.a_lap // n_blocks)
         for first in range(0, n_blocks * step, step):
             block = [self[i] for i in range(first, first + size)]
@@ -92,8 +95,10 @@ class Moments:
 
 
 def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
-    """The windows of a recording from time 0 on, without empty ones; times counted from each
-    window's start."""
+    """The windows of a recording from time 0 on, without empty ones.
+
+    Times are counted from each window's start.
+    """
     number = events["t"] // window_us
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1:] + 1))
     windows = [events[a:b].astype(EVENT_DTYPE) for a, b in pairwise(edges)]
@@ -111,8 +116,10 @@ def bench_recordings(config: TNTConfig) -> list[np.ndarray]:
 def made_columns(
     rng: np.random.Generator, sensor: tuple[int, int], n: int, duration_us: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """t, x, y, p of n events, uniform over sensor, polarity and [0, duration_us), in order of
-    time."""
+    """Columns t, x, y, p of n random events, in order of time.
+
+    They are uniform over sensor, polarity and [0, duration_us).
+    """
     return (
         np.sort(rng.integers(0, duration_us, n)),
         rng.integers(0, sensor[0], n).astype(np.uint16),

@@ -1,5 +1,8 @@
-"""The network alone, at batch 1: some events after the previous decision, where ours computes
-changes and others everything."""
+"""The time of the network alone, at batch 1.
+
+It decides some events after the previous decision. Ours computes what has changed, and others
+compute everything.
+"""
 
 from __future__ import annotations
 
@@ -69,12 +72,13 @@ def bench_network(
     blocks: int,
     size: int,
 ) -> dict[str, Any]:
-    """Time networks from a finished volume to its logits, `n_new` events after the previous
-    decision.
+    """Time networks from a finished volume to its logits.
+
+    The volume has `n_new` events more than at the previous decision.
 
     Parameters
     ----------
-    networks : as `dense_networks` makes them.
+    networks : what `dense_networks` makes.
     windows : see `Moments`.
     blocks, size, what is returned and raised : see `compare`; `incremental` is ours.
 
@@ -94,8 +98,10 @@ def bench_network(
 
 
 def fastest(names: tuple[str, ...], results: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """The network that took the least time in blocks, over all rows together; None if none was
-    timed."""
+    """The network that took the least time in blocks, over all rows together.
+
+    None if none was timed.
+    """
     total = {
         name: sum(row["in_blocks"]["us"][name]["median"] for row in results.values())
         for name in names

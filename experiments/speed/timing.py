@@ -65,8 +65,10 @@ def latency(values: np.ndarray) -> dict[str, float]:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Without Python's garbage collector, which runs at random; its state is restored
-    afterwards."""
+    """A block without Python's garbage collector, which runs at random times.
+
+    The collector's state is restored afterwards.
+    """
     was_enabled = gc.isenabled()
     gc.disable()
     try:

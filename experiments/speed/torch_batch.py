@@ -23,8 +23,10 @@ Columns = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def as_tensors(events: np.ndarray, start_us: int) -> Columns:
-    """Time since `start_us`, x, y (float32) and sign (float32, -1 or +1) of structured events,
-    shape (N,)."""
+    """Time since `start_us`, x, y (float32) and sign of structured events, shape (N,).
+
+    The sign is float32, -1 or +1.
+    """
     dt = torch.from_numpy((events["t"] - start_us).astype(np.float32))
     x = torch.from_numpy(events["x"].astype(np.float32))
     y = torch.from_numpy(events["y"].astype(np.float32))
@@ -73,7 +75,7 @@ class TorchBatch:
             centroid = z.cumsum(0, dtype=torch.float64).div_(n).float()
             place = (z - centroid) / tau + self._centre[side]
             clamped = place.clamp(0, config.grid[side] - 1)
-            # False for the nan of 0 / 0
+            # The comparison is False for nan, which is 0 / 0.
             keep &= (place - clamped).abs_() <= BORDER_TOLERANCE
             moved.append(clamped)
         # indices, computed once, are four times faster than four masks
@@ -84,8 +86,10 @@ class TorchBatch:
     def _splat(
         self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor
     ) -> torch.Tensor:
-        """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one
-        operation."""
+        """Add all events to eight cells each, in one operation.
+
+        This is V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i).
+        """
         bins = self.config.bins
         width, height = self.config.grid
         # The lower corner stays one short of the last cell, so that the upper one is in the volume:

@@ -1,5 +1,7 @@
-"""What a decision has to compute: cells of the volume that new events change, and the places of
-each layer they reach.
+"""What a decision has to compute.
+
+These are the cells of the volume that new events change, and the places of each layer that these
+cells reach.
 
 Reached places are computed; where their bits stay the same, nothing follows: the transform drops
 many events, and a change ends where every filter's ReLU stays at zero.
@@ -18,9 +20,11 @@ from experiments.speed.work import work_of
 
 
 def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> dict[str, Any]:
-    """Count over many moments, mean numbers: new events -> `cells` of the volume that change,
-    places of each layer that are computed, `multiplications`. `whole` is the same for the whole
-    network.
+    """Count what a decision computes, in the mean over many moments.
+
+    For each number of new events there are `cells` of the volume that change, the places of
+    each layer that are computed, and `multiplications`. `whole` has the same counts for the
+    whole network.
     """
     network = CompiledClassifier(model)
     network(np.zeros(model.config.shape))
@@ -56,8 +60,10 @@ def _count(model: Model, block: list[Any]) -> list[dict[str, int]]:
 
 
 def _counted(network: CompiledClassifier) -> dict[str, int]:
-    """Places computed by the last call, by layer, and multiplications. Of a layer in parts, those
-    of its first."""
+    """Places computed by the last call, by layer, and multiplications.
+
+    Of a layer in parts, those of its first.
+    """
     places: dict[str, int] = {}
     work = work_of(network)
     for step, n in work:

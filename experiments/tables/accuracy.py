@@ -1,5 +1,7 @@
-"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions
-hard to know."""
+"""The tables of accuracy.
+
+They are about the bundled model, its early decisions, and what makes motions hard to know.
+"""
 
 from __future__ import annotations
 
@@ -65,10 +67,13 @@ def digits_tried() -> str:
     for run in _record()["tried"]:
         found = run["validation"]
         landmark = run["landmark"] or "none (untransformed volume)"
+        if run["remove_flow"]:
+            landmark += ", flow removed"
+        t_max = "" if run["t_max"] is None else f"{run['t_max']:g}"
         rows.append(
             [
-                landmark + (", flow removed" if run["remove_flow"] else ""),
-                "" if run["t_max"] is None else f"{run['t_max']:g}",
+                landmark,
+                t_max,
                 run["polarity"],
                 f"{run['simulated_recordings']:,}",
                 "yes" if run["augmentation"] else "no",
@@ -155,9 +160,11 @@ def polarity(found: dict[str, Any]) -> str:
 
 
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
-    """In each test of other motions: the share of the gap between training on one and on all
-    directions that re-synthesis closes. A test without such a comparison, or with hardly a gap, is
-    left out."""
+    """The share of a gap that re-synthesis closes, for each test of other motions.
+
+    The gap is between training on one direction and on all. A test without such a comparison,
+    or with hardly a gap, is left out.
+    """
     if "all directions" not in accuracy:
         return {}
     closed = {}
@@ -195,7 +202,7 @@ unseen_whole = of_report("unseen_whole")(_unseen)
 
 @of_report("found_paths")
 def found_paths(found: dict[str, Any]) -> str:
-    """In how many windows a path is found, and how often it is right."""
+    """A table of the windows in which a path is found, and of how often it is right."""
     rows = []
     for name, row in found["rows"].items():
         shares = (
@@ -230,7 +237,7 @@ def nothing(found: dict[str, Any]) -> str:
 
 
 def early() -> str:
-    """By time, and by confidence."""
+    """A table of early decisions, by time and by confidence."""
     found = results("early")
     rows = [
         [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]

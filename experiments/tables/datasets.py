@@ -54,12 +54,14 @@ def cars(report: dict[str, Any]) -> str:
 
 @of_report("cars")
 def cars_confidence(report: dict[str, Any]) -> str:
-    """What a level of confidence costs and buys on N-CARS: means over the networks of the first
-    recipe."""
+    """What a level of confidence costs and buys on N-CARS.
+
+    The numbers are means over the networks of the first recipe.
+    """
     tests = next(iter(report["recipes"].values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
-        # a level that no window reaches
+        # A level that no window reaches is left out.
         if any(level["median_ms"] is None for level in levels):
             continue
         names = ("decided", "accuracy", "window_accuracy", "median_ms", "p90_ms")
@@ -101,8 +103,10 @@ def _mean(accuracies: Sequence[float]) -> str:
 
 
 def representations() -> str:
-    """Accuracy on N-MNIST and N-CARS, mean over the networks, their standard deviation, and what
-    each costs."""
+    """A table of the accuracy on N-MNIST and N-CARS, and what each recipe costs.
+
+    It has the mean over the networks and their standard deviation.
+    """
     nmnist = results("table")["table"]
     recipes = results("cars")["recipes"]
     rows = []
@@ -132,7 +136,7 @@ def bare(report: dict[str, Any]) -> str:
 
 @of_report("from_pictures")
 def from_pictures(report: dict[str, Any]) -> str:
-    """The same for `train` given pictures alone."""
+    """A table of the same numbers for `train` given pictures alone."""
     rows = []
     for found in report["sets"].values():
         options = found["command"].partition("PICTURES ")[2]
@@ -146,13 +150,16 @@ def from_pictures(report: dict[str, Any]) -> str:
 
 @of_report("few_recordings")
 def few_recordings(report: dict[str, Any]) -> str:
-    """With and without pictures, by how many real recordings a class has: windows and recordings
-    right."""
+    """A table of windows and recordings right, with and without pictures.
+
+    It has a row for each number of real recordings of a class.
+    """
     found: dict[int, dict[str, str]] = {}
     for way, rows in report["ways"].items():
         for row in rows:
             shares = (
-                [one[key] for one in row["networks"]] for key in ("window_accuracy", "accuracy")
+                [network[key] for network in row["networks"]]
+                for key in ("window_accuracy", "accuracy")
             )
             found.setdefault(row["per_class"], {})[way] = " / ".join(
                 cell(summary(values)) for values in shares
@@ -194,8 +201,10 @@ def moved_digits(report: dict[str, Any]) -> str:
 
 @of_report("recipes")
 def recipes(report: dict[str, Any]) -> str:
-    """Candidates of a default: held-out windows right at their ends, and in the mean over ten
-    moments."""
+    """A table of the candidates of a default.
+
+    It has the held-out windows right, at their ends and in the mean over ten moments.
+    """
     sets = report["sets"]
     candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
     rows = []

@@ -47,9 +47,9 @@ def speed() -> str:
     cells = (short(us[same[name]]["median"]) if name in same else "" for name in names)
     rows.append(["packet of 1 event to decision: us", *cells])
     packets = found["every_event"]
-    every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
+    rates = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
     rows.append(
-        ["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)]
+        ["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in rates)]
     )
     return table(["", *names.values()], rows)
 
@@ -66,7 +66,7 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
 
 
 def _cell(found: dict[str, Any], name: str) -> str:
-    """Median, 99th percentile, and ratio to the first network's; empty where there is none."""
+    """A cell with median, 99th percentile, and ratio to the first network; empty without times."""
     us = found["us"].get(name)
     if us is None:
         return ""

@@ -30,7 +30,11 @@ Difference = dict[str, Any]
 def thesis_sets() -> str:
     """The thesis' rows on each simulated set; bold where the difference to the Baseline holds."""
     accuracies = results("table")["table"]
-    held = {(one["row"], one["column"]) for one in _differences() if holds(one)}
+    held = {
+        (difference["row"], difference["column"])
+        for difference in _differences()
+        if holds(difference)
+    }
     shown = [(on, row) for on in ("all", "1") for row in (BASELINE, *TRANSFORMED)]
 
     body = []
@@ -48,11 +52,15 @@ def thesis_sets() -> str:
 def effects() -> str:
     """What the gain over the Baseline depends on; bold where it holds."""
     found = results("table")["effects"]
-    columns = list(dict.fromkeys((one["trained_on"], one["row"]) for one in found))
+    columns = list(
+        dict.fromkeys((found_effect["trained_on"], found_effect["row"]) for found_effect in found)
+    )
     body = []
-    for effect in dict.fromkeys(one["effect"] for one in found):
+    for effect in dict.fromkeys(found_effect["effect"] for found_effect in found):
         of_effect = {
-            (one["trained_on"], one["row"]): one for one in found if one["effect"] == effect
+            (found_effect["trained_on"], found_effect["row"]): found_effect
+            for found_effect in found
+            if found_effect["effect"] == effect
         }
         body.append([effect, *(_with_interval(of_effect[column]) for column in columns)])
     head = ["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)]
@@ -61,7 +69,10 @@ def effects() -> str:
 
 def differences() -> str:
     """Every pair of every question; bold where the difference holds."""
-    found = {(one["row"], one["against"], one["column"]): one for one in _differences()}
+    found = {
+        (difference["row"], difference["against"], difference["column"]): difference
+        for difference in _differences()
+    }
     body = []
     for question, pairs in QUESTIONS.items():
         known = [pair for pair in pairs if any((*pair, column) in found for column in DIFFERENCES)]
@@ -70,8 +81,8 @@ def differences() -> str:
         for row, against in known:
             cells = []
             for column in DIFFERENCES:
-                one = found.get((row, against, column))
-                cells.append("-" if one is None else _with_interval(one))
+                difference = found.get((row, against, column))
+                cells.append("-" if difference is None else _with_interval(difference))
             body.append([_pair(row, against), *cells])
     return table(["difference", *DIFFERENCES], body)
 
@@ -81,23 +92,25 @@ def conclusions() -> str:
     return "\n\n".join(answer(question, _differences()) for question in QUESTIONS)
 
 
-def answer(question: str, every: Sequence[Difference]) -> str:
-    """A question's differences that hold: a row for each pair and what it was trained on, a column
-    for each test."""
-    asked = [one for one in every if one["question"] == question]
+def answer(question: str, measured: Sequence[Difference]) -> str:
+    """A table of a question's differences that hold.
+
+    It has a row for each pair and what it was trained on, and a column for each test.
+    """
+    asked = [difference for difference in measured if difference["question"] == question]
     if not asked:
         return f"{question}: not measured yet."
-    held = [one for one in asked if holds(one)]
+    held = [difference for difference in asked if holds(difference)]
     sentence = f"{question}: {len(held)} of {len(asked)} differences hold."
     if not held:
         return sentence
 
     tests = list(dict.fromkeys(_test(column) for column in in_order(d["column"] for d in held)))
     means: dict[tuple[str, str, str], dict[str, str]] = {}
-    for one in held:
-        trained_on = one["column"].partition("/")[0]
-        of_row = means.setdefault((one["row"], one["against"], trained_on), {})
-        of_row[_test(one["column"])] = signed(one["mean"])
+    for difference in held:
+        trained_on = difference["column"].partition("/")[0]
+        of_row = means.setdefault((difference["row"], difference["against"], trained_on), {})
+        of_row[_test(difference["column"])] = signed(difference["mean"])
     body = [
         [_pair(row, against), trained_on, *(of_row.get(test, "") for test in tests)]
         for (row, against, trained_on), of_row in means.items()
@@ -108,9 +121,15 @@ def answer(question: str, every: Sequence[Difference]) -> str:
 def thesis_answers() -> str:
     """The thesis' own question on the simulated sets: all that holds."""
     asked = [
-        one for one in _differences() if one["against"] == BASELINE and _test(one["column"]) in SETS
+        difference
+        for difference in _differences()
+        if difference["against"] == BASELINE and _test(difference["column"]) in SETS
     ]
-    means = {(one["row"], one["column"]): signed(one["mean"]) for one in asked if holds(one)}
+    means = {
+        (difference["row"], difference["column"]): signed(difference["mean"])
+        for difference in asked
+        if holds(difference)
+    }
     shown = {"all": "all saccades", "1": "the first saccade"}
 
     body = []

@@ -34,8 +34,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:
-    """Decorates what makes a table of a report: called without a report, it takes the recorded run
-    `name`."""
+    """A decorator for functions that make a table of a report.
+
+    If a function is called without a report, it takes the recorded run `name`.
+    """
 
     def decorated(make: Callable[[Any], str]) -> Table:
         @functools.wraps(make)

@@ -1,5 +1,7 @@
-"""What stands in RESULTS.md: the sections, how their tables were measured, and what each table
-shows."""
+"""The sections of RESULTS.md.
+
+They say how their tables were measured, and what each table shows.
+"""
 
 from __future__ import annotations
 

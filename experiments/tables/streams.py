@@ -1,5 +1,7 @@
-"""The tables of streams: event volumes (bench.json), map models, threads, memory, network,
-loads."""
+"""The tables of streams.
+
+They are about event volumes (bench.json), map models, threads, memory, network and loads.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ udp_machine = of_report("network")(about_machine)
 
 
 def udp_latency() -> str:
-    """From just before `send` to something in hand."""
+    """A table of the time from just before `send` until the program has something in hand."""
     found = results("network")["latency_us"]
     rows = []
     for name, words in WAYS.items():
@@ -122,7 +124,7 @@ def map_load(found: dict[str, Any]) -> str:
 
 @of_report("threads")
 def threads(found: dict[str, Any]) -> str:
-    """The time of two streams one after the other, divided by that of both at once."""
+    """A table of the time of two streams one after the other, divided by that in two threads."""
     words = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",

@@ -1,4 +1,4 @@
-"""Texts of RESULTS.md: how its tables were measured, and what limits their numbers; Markdown."""
+"""Texts of RESULTS.md in Markdown: how its tables were measured, and what limits their numbers."""
 
 INTRODUCTION = """\
 Written by `python -m experiments.pages`: the tables from `results/*.json` and from the record

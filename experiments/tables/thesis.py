@@ -61,7 +61,7 @@ STEPS = (1_000, 3_000, 8_000, 20_000, 40_000, 60_000)
 
 
 def _accuracies() -> dict[str, Any]:
-    """Row -> column -> accuracy."""
+    """The accuracies, by row and column."""
     return dict(results("table")["table"])
 
 
@@ -71,8 +71,11 @@ def thesis_rows() -> str:
 
 
 def comparison() -> str:
-    """The comparison, with a row of what a network would have that knows the motion it saw, and
-    guesses in others."""
+    """The table of the comparison.
+
+    It has a row of what a network would have that is right in the motion it saw, and guesses in
+    others.
+    """
     lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
     guessed = {
         "1/all": _guessed("1/all"),
@@ -92,7 +95,7 @@ def _guessed(column: str) -> float:
 
 
 def unseen_motion() -> str:
-    """The short version for README: networks that saw the first saccade only."""
+    """README's table of the networks that saw the first saccade only, and a sentence on it."""
     accuracies = _accuracies()
     n_seeds = len(accuracies["raw-translated"]["1/all"]["seeds"])
 

@@ -1,5 +1,7 @@
-"""The recordings that the table trains and tests on: N-MNIST by saccade, and simulated motions by
-shard."""
+"""The recordings that the table trains and tests on.
+
+They are N-MNIST by saccade, and simulated motions by shard.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,7 @@ class RealData:
     test : windows of the test recordings.
     seen_images : indices of MNIST's test images that a training recording shows, held out or not.
         Empty with the official split, see `shown_test_images`.
-    description : in words and numbers, for the results.
+    description : description of the data in words and numbers, for the results.
     """
 
     training: Windows
@@ -64,7 +66,7 @@ class RealFolder:
 
     Parameters
     ----------
-    folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
+    folder : the folder that has Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
     per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
     """
@@ -105,8 +107,9 @@ class RealFolder:
 
 
 def shown_test_images(names: Sequence[str]) -> np.ndarray:
-    """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64,
-    increasing.
+    """The indices of MNIST's test images that recordings show, int64, increasing.
+
+    They follow from the recordings' names, such as `3/60026.bin`.
 
     Number n of the official Train shows image n of MNIST's training set. Where a set is split
     differently, official test recording n is numbered 60,000 + n; it shows image n of MNIST's test
@@ -119,8 +122,10 @@ def shown_test_images(names: Sequence[str]) -> np.ndarray:
 
 
 def trained_on(windows: Windows, name: str) -> Windows:
-    """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded`
-    sees."""
+    """The windows that a network sees which is trained on `all`, `1` or `confounded`.
+
+    `1` is the first saccade.
+    """
     if name == "1":
         return windows[saccade(windows) == 0]
     if name == "confounded":
@@ -129,8 +134,11 @@ def trained_on(windows: Windows, name: str) -> Windows:
 
 
 def spanned(windows: Windows, n_events: int) -> Windows:
-    """The same windows, a recording each: their first `n_events`, with times scaled so that the
-    first is at 0 and the last at the end of the window, as in the thesis."""
+    """The same windows with their first `n_events`, a recording each.
+
+    Times are scaled so that the first event is at 0 and the last one at the end of the window,
+    as in the thesis.
+    """
     columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     for i in range(len(windows)):
         t, *others = [column[:n_events] for column in windows.events(i, SACCADE_US)]
@@ -150,8 +158,9 @@ def spanned(windows: Windows, n_events: int) -> Windows:
 def make_set(
     name: str, mnist: Path, folder: Path, data: RealData, n_images: int, workers: int
 ) -> MovingMnist:
-    """A simulated set of `SETS`: the first `n_images` of MNIST's test images that no training
-    recording shows.
+    """A simulated set of `SETS`.
+
+    It has the first `n_images` of MNIST's test images that no training recording shows.
 
     Raises
     ------
@@ -171,7 +180,9 @@ def make_set(
 
 
 def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
-    """(name of the motion, windows) of each shard of a set; recordings are named by their image.
+    """The name of the motion and the windows of each shard of a set.
+
+    Recordings are named by their image.
 
     Raises
     ------

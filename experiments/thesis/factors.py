@@ -1,5 +1,6 @@
-"""What about a motion the gain of the transform depends on: the simulated sets as a factorial
-experiment.
+"""Which properties of a motion the gain of the transform depends on.
+
+The simulated sets are a factorial experiment.
 
 Eight sets and three distances are all combinations of four factors. The effect of one is the
 difference between its two levels (between 8 and 3 px) in what a row gains over the Baseline, in the
@@ -40,8 +41,9 @@ AGAINST = "thesis-baseline"
 
 
 def effects(right: Right) -> list[dict[str, Any]]:
-    """The mean gain of each of `GAINS`, where its networks are there, and the effect of each factor
-    and pair.
+    """The mean gain of each of `GAINS`, and the effect of each factor and pair of factors.
+
+    A gain whose networks are not there is left out.
 
     Returns
     -------

@@ -1,5 +1,6 @@
-"""The results of some rows of the table put into a file that has more: a day of training need not
-be one run.
+"""Put the results of some rows of the table into a file that has more rows.
+
+A day of training need not be one run.
 
 What was measured again replaces what is there: a row's numbers in a column, a difference, an
 effect. p is adjusted again over all that a question then has. A difference from numbers that are
@@ -26,8 +27,10 @@ EFFECT = ("trained_on", "row", "effect")
 
 
 def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """The record `there` with the results of `new`; neither is changed. Its settings and machine
-    are those of `new`."""
+    """The record `there` with the results of `new`; neither is changed.
+
+    Its settings and machine are those of `new`.
+    """
     record = {**there, **new}
     record |= {name: {**there[name], **new[name]} for name in BY_NAME}
     for row in there["rows"].keys() & new["rows"].keys():
@@ -76,15 +79,18 @@ def _merged_differences(there: dict[str, Any], new: dict[str, Any]) -> list[dict
 def _replaced(
     there: Iterable[dict[str, Any]], new: Iterable[dict[str, Any]], names: tuple[str, ...]
 ) -> list[dict[str, Any]]:
-    """All of both; those of `new` replace those with the same values of `names`."""
-    return list({_named(one, names): one for one in (*there, *new)}.values())
+    """The results of `there` and of `new`.
+
+    A result of `new` replaces the result of `there` with the same values of `names`.
+    """
+    return list({_named(result, names): result for result in (*there, *new)}.values())
 
 
-def _named(one: dict[str, Any], names: tuple[str, ...]) -> tuple[Any, ...]:
-    return tuple(one[name] for name in names)
+def _named(result: dict[str, Any], names: tuple[str, ...]) -> tuple[Any, ...]:
+    return tuple(result[name] for name in names)
 
 
 def _adjusted(of_question: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same with p adjusted over all of them."""
-    adjusted = holm([one["p"] for one in of_question])
-    return [{**one, "holm": p} for one, p in zip(of_question, adjusted, strict=True)]
+    """The differences of a question, with p adjusted over all of them."""
+    adjusted = holm([difference["p"] for difference in of_question])
+    return [{**difference, "holm": p} for difference, p in zip(of_question, adjusted, strict=True)]

@@ -1,5 +1,7 @@
-"""The table's numbers: accuracies brought together over seeds, differences of rows with their
-intervals, and tables.
+"""The table's numbers.
+
+They are accuracies brought together over seeds, differences of rows with their intervals, and
+tables.
 
 Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and
 other digits would give other numbers. With d the (S, I) differences of S seeds and I digits, the
@@ -31,7 +33,9 @@ UNDRAWN = tuple(SETS)[1:]
 
 
 def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """Row -> column -> mean, standard deviation and each seed's accuracy; the same for each motion.
+    """The mean, standard deviation and seeds' accuracies of each row and column.
+
+    Each column also has the means of each motion.
 
     Parameters
     ----------
@@ -52,13 +56,13 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
             found = {
                 run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]
             }
-            some = next(iter(found.values()))
+            first = next(iter(found.values()))
             is_drawn = column.split("/")[1] not in UNDRAWN
             per_motion = _means(found, "per_motion") if is_drawn else {}
             table.setdefault(row, {})[column] = {
                 **summary([part["accuracy"] for part in found.values()]),
                 "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
-                "windows": some["windows"],
+                "windows": first["windows"],
                 "per_motion": per_motion,
                 "against_time_ms": _means(found, "against_time_ms"),
             }
@@ -68,7 +72,7 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
     """The mean over the seeds of each entry of `name`."""
     parts = [part[name] for part in found.values()]
-    return {one: round(float(np.mean([part[one] for part in parts])), 5) for one in parts[0]}
+    return {entry: round(float(np.mean([part[entry] for part in parts])), 5) for entry in parts[0]}
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
@@ -94,13 +98,16 @@ def shares(right: np.ndarray) -> np.ndarray:
 
 
 def interval(values: np.ndarray) -> dict[str, float]:
-    """The mean of differences (S, I) of S seeds and I digits, at least two each: "mean", its 95 %
-    interval from "low" to "high", and "p"."""
+    """The mean of differences (S, I), with its interval and p.
+
+    There are S seeds and I digits, at least two each. The dict has "mean", its 95 % interval
+    from "low" to "high", and "p".
+    """
     # scripts that only print tables need no SciPy
     from scipy import stats
 
     mean = float(values.mean())
-    # the variances of digits, then of seeds
+    # The variance of the mean has two parts: that of digits, then that of seeds.
     parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]
     error = float(sum(parts)) ** 0.5
     if error == 0.0:
@@ -112,8 +119,9 @@ def interval(values: np.ndarray) -> dict[str, float]:
 
 
 def differences(right: Right) -> list[dict[str, Any]]:
-    """Differences of the pairs in `QUESTIONS`, in each column that both rows have with two seeds at
-    least.
+    """Differences of the pairs in `QUESTIONS`.
+
+    They are in each column that both rows have with at least two seeds.
 
     Returns
     -------
@@ -141,8 +149,9 @@ def differences(right: Right) -> list[dict[str, Any]]:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Adjusted p of several hypotheses (S. Holm 1979): those below a level are rejected together at
-    that level.
+    """The adjusted p of several hypotheses (Holm 1979).
+
+    Hypotheses with an adjusted p below a level are rejected together at that level.
 
     Examples
     --------
@@ -160,8 +169,10 @@ def holm(p: Sequence[float]) -> list[float]:
 def markdown_table(
     table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()
 ) -> str:
-    """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in
-    brackets."""
+    """A table in Markdown of the rows of groups, in these columns or in all.
+
+    The thesis' numbers follow in brackets.
+    """
     rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
     columns = columns or in_order(column for row in rows for column in table[row])
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]

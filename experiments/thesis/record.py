@@ -36,7 +36,9 @@ def record_of(
     command : what repeats this.
     """
     table = aggregate(results)
-    by_name = {Run(one["row"], one["trained_on"], one["seed"]).name: one for one in results}
+    by_name = {
+        Run(result["row"], result["trained_on"], result["seed"]).name: result for result in results
+    }
     return {
         "command": command,
         "data": {
@@ -65,9 +67,9 @@ def _about(name: str, results: Sequence[dict[str, Any]], iterations: int | None)
     """How the networks of a row were trained."""
     row = ROWS[name]
     motions = {
-        one["trained_on"]: one["motions"]
-        for one in results
-        if one["row"] == name and one["motions"]
+        result["trained_on"]: result["motions"]
+        for result in results
+        if result["row"] == name and result["motions"]
     }
     return {
         "config": row.config.to_dict(),

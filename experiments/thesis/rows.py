@@ -1,5 +1,6 @@
-"""The thesis' experiment: which networks are trained, how, and which of them are compared. All was
-set beforehand.
+"""The thesis' experiment: which networks are trained, how, and which of them are compared.
+
+All was set beforehand.
 
 A row is one way from events to a network's input, and what it is trained on. All rows share the
 network and the optimizer. Besides the thesis' own three rows, the comparison crosses
@@ -150,7 +151,8 @@ THESIS = {
         f"1/{THESIS_SET}": 0.324,
     },
 }
-"""The thesis' accuracies: row -> column. Its all/sim and 1/sim stand in those of `THESIS_SET`."""
+"""The thesis' accuracies, by row and column. Its columns all/sim and 1/sim are those of
+`THESIS_SET` here."""
 
 
 @dataclass(frozen=True)
@@ -159,17 +161,17 @@ class Row:
 
     Parameters
     ----------
-    name : for the command line and for files.
-    group : of `GROUPS`.
-    title : in the table.
+    name : name on the command line and in files.
+    group : one of `GROUPS`.
+    title : title in the table.
     config : how events become volumes.
-    augmentation : of the training windows.
+    augmentation : augmentation of the training windows.
     iterations : steps of the optimizer.
-    trained_on : of `TRAINED_ON`.
+    trained_on : names of `TRAINED_ON`.
     motions : how the windows are re-synthesized; None: they are not.
-    span : time is scaled from a window's first event to its last of so many; None: it is not
-        scaled.
-    seeds : with how many of the command's seeds, at most; None: all.
+    span : number of events that a window keeps, its first ones. Their times are scaled to the whole
+        window. None: a window keeps all events, and times are not scaled.
+    seeds : how many of the command's seeds are used, at most; None: all.
     """
 
     name: str
@@ -382,8 +384,8 @@ def runs_of(names: Iterable[str], trained_on: Collection[str], seeds: Sequence[i
 
     Parameters
     ----------
-    names : of `ROWS` and `GROUPS`.
-    trained_on : of `TRAINED_ON`; others are left out.
+    names : names of `ROWS` and `GROUPS`.
+    trained_on : names of `TRAINED_ON`; networks that are trained on others are left out.
     """
     names = set(names)
     runs = []

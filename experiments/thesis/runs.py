@@ -1,5 +1,7 @@
-"""The networks of the table: trained and tested, several at a time, each with its result in two
-files."""
+"""Train and test the networks of the table.
+
+Several are trained at a time. The result of each is in two files.
+"""
 
 from __future__ import annotations
 
@@ -58,8 +60,9 @@ def run_networks(
     folder: Path,
     workers: int,
 ) -> list[dict[str, Any]]:
-    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker,
-    in this process.
+    """Call `run_network` for each of `runs`, in `workers` processes of one thread each.
+
+    With one worker, it is called in this process.
 
     Raises
     ------
@@ -101,17 +104,16 @@ def run_network(
     settings: TrainSettings,
     folder: Path,
 ) -> dict[str, Any]:
-    """Train and test one network, or return the result that is there already, if its settings are
-    the same.
+    """Train and test one network, or return its earlier result if that has the same settings.
 
     Parameters
     ----------
-    simulated : of `rows.SETS`, by name.
-    settings : without seed and augmentation, which are the run's and its row's; without iterations:
-        its row's.
-    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its
-        model, its result as JSON, which windows were right and, with matplotlib, its learning
-        curves.
+    simulated : the simulated sets of `rows.SETS`, by name.
+    settings : settings of the training. The run gives the seed and its row the augmentation. The
+        row also gives the iterations if the settings have none.
+    folder : holds a folder for each run. A run's folder has its checkpoint and its history as JSON.
+        When the run is done, it also has its model, its result as JSON, which windows were right
+        and, with matplotlib, its learning curves.
 
     Raises
     ------
@@ -203,8 +205,10 @@ def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
 def motions_of(
     row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
 ) -> Motions | None:
-    """Other motions of a row's training windows; rows and seeds with the same settings share
-    them."""
+    """Other motions of a row's training windows.
+
+    Rows and seeds with the same settings share them.
+    """
     config = ROWS[row].config
     motions = ROWS[row].motions
     if motions is None:
@@ -231,23 +235,25 @@ def _tested(
     span: int | None,
     moments_ms: tuple[int, ...],
 ) -> dict[str, Any]:
-    """Accuracy in all, of each motion and at moments; "right": int8, (motions, recordings or
-    images), -1 where one has no window."""
+    """The accuracy in all, of each motion and at moments, and what was right.
+
+    "right" is int8, (motions, recordings or images), and -1 where a motion has no window.
+    """
     parts = []
     early = {ms: [0, 0] for ms in moments_ms}
     for motion, windows in _windows(test, data, simulated):
         names = [windows.recordings.names[r] for r in windows.recording]
-        some = windows if span is None else spanned(windows, span)
-        parts.append((motion, names, _right(pipeline, some)))
+        tested = windows if span is None else spanned(windows, span)
+        parts.append((motion, names, _right(pipeline, tested)))
         for ms, counts in early.items():
-            at_once = _right(pipeline, some, until_us=1_000 * ms)
+            at_once = _right(pipeline, tested, until_us=1_000 * ms)
             counts[0] += int(at_once.sum())
             counts[1] += len(at_once)
     # a motion may come in several parts
     motions = list(dict.fromkeys(motion for motion, *_ in parts))
-    every = sorted({name for _, names, _ in parts for name in names})
-    place = {name: i for i, name in enumerate(every)}
-    right = np.full((len(motions), len(every)), -1, np.int8)
+    all_names = sorted({name for _, names, _ in parts for name in names})
+    place = {name: i for i, name in enumerate(all_names)}
+    right = np.full((len(motions), len(all_names)), -1, np.int8)
     for motion, names, of_part in parts:
         right[motions.index(motion), [place[name] for name in names]] = of_part
     return {
@@ -264,8 +270,10 @@ def _tested(
 def _windows(
     test: str, data: RealData, simulated: Mapping[str, MovingMnist]
 ) -> Iterator[tuple[str, Windows]]:
-    """(motion, windows) of the test data "all", "others" (saccades 2 and 3), "train", or of a
-    simulated set."""
+    """Pairs (motion, windows) of test data.
+
+    The data are "all", "others" (saccades 2 and 3), "train", or a simulated set.
+    """
     if test in simulated:
         yield from simulated_windows(simulated[test])
         return

@@ -23,8 +23,9 @@ def hats(
     polarity: str = "split",
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """How many earlier events of its cell an event has at each place about it: the mean over the
-    events of each cell of a grid.
+    """How many earlier events of its cell an event has at each place about it.
+
+    This is the mean over the events of each cell of a grid.
 
         T_i(z)  = #{j < i : x_j = x_i + z, p_j = p_i, j and i in the same cell}    z in {-3..3}^2
         h(z, p) = 1 / |C| sum_{i in C, p_i = p} T_i(z)
@@ -32,7 +33,7 @@ def hats(
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`. j < i is the order of
+    t, x, y, p, start_us, window_us, sensor, dtype : see `event_volume`. j < i is the order of
         the columns.
     grid : (width, height) in cells; pixel x lies in column floor(x width / sensor width).
     polarity : "unsigned": p_j and p_i do not matter; "split": the bins of the ON events, then those

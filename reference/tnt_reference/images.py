@@ -69,7 +69,7 @@ def count_timestamp_image(
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`.
+    t, x, y, p, start_us, window_us, sensor, dtype : see `event_volume`.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def time_image(
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, grid, dtype : as for `event_volume`.
+    t, x, y, p, start_us, window_us, sensor, grid, dtype : see `event_volume`.
     representation : "count_time": the channels N and T; "mean_time": the channel M; "time_surface":
         S, at the window's end.
     polarity : "unsigned", or "split": the channels of the ON events, then those of the OFF events.

@@ -111,7 +111,7 @@ def fitted_flow(
 
     Parameters
     ----------
-    t, x, y, start_us, window_us, sensor, grid : as for `landmark`.
+    t, x, y, start_us, window_us, sensor, grid : see `landmark`.
 
     Returns
     -------

@@ -31,7 +31,7 @@ class Classifier(nn.Module):
 
     Parameters
     ----------
-    channels : of the volume: B, or 2B for split polarity.
+    channels : number of the volume's channels: B, or 2B for split polarity.
     grid : (width, height) of the volume, at least 4 x 4. Pooling drops an odd side's last row or
         column (34 -> 17 -> 8).
     n_classes : how many logits.
@@ -70,8 +70,9 @@ class Classifier(nn.Module):
 
 
 class LandmarkRegressor(nn.Module):
-    """Raw event volume to landmark: the centroid of a heatmap that three 3x3 and one 1x1
-    convolution draw.
+    """A network from a raw event volume to a landmark.
+
+    The landmark is the centroid of a heatmap, which three 3x3 and one 1x1 convolution draw.
 
         h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))   non-negative, (H, W)
         l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]             in pixels of the whole image
@@ -85,7 +86,7 @@ class LandmarkRegressor(nn.Module):
 
     Parameters
     ----------
-    channels : of the volume: B, or 2B for split polarity.
+    channels : number of the volume's channels: B, or 2B for split polarity.
     grid : (width, height) of the volume.
     n_filters : how many outputs each 3x3 convolution has. It is our choice; the thesis gives none.
 
@@ -107,8 +108,10 @@ class LandmarkRegressor(nn.Module):
         nn.init.zeros_(self.heatmap.weight)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """The landmark of a raw `volume`, float64 (x, y) in grid pixels: (N, C, H, W) -> (N, 2), or
-        (C, H, W) -> (2,)."""
+        """The landmark of a raw `volume`, float64, (x, y) in grid pixels.
+
+        A volume (N, C, H, W) has landmarks (N, 2), a volume (C, H, W) has a landmark (2,).
+        """
         check_volume_shape(volume, self.channels, self.grid)
         a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
         a = F.relu(self.conv2(a))
@@ -127,7 +130,7 @@ class Pipeline(nn.Module):
     classifier : a module from (N, C, H, W) to (N, n_classes); `Classifier` or your own.
     sensor, grid : (width, height); the grid is the sensor's where it is not given.
     window_us : the window's length; None: each window ends with its newest event, as in the thesis.
-    bins, t_max, polarity, remove_flow : as in `tnt_volume`.
+    bins, t_max, polarity, remove_flow : see `tnt_volume`.
     landmark : "center", "running", "line", "window"; or "regressor".
     transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no
         effect).
@@ -211,8 +214,7 @@ class Pipeline(nn.Module):
         return self.window_us
 
     def volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): what the classifier sees of one window, in the type of the networks'
-        weights."""
+        """The classifier's input for one window, (C, H, W), in the type of the weights."""
         if self.transform == "none":
             return self.raw_volume(t, x, y, p, start_us)
         landmark: str | torch.Tensor = self.landmark
@@ -236,7 +238,7 @@ class Pipeline(nn.Module):
         )
 
     def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): the untransformed event volume of one window, or its image of times."""
+        """The untransformed event volume of one window, or its image of times, (C, H, W)."""
         settings: dict[str, Any] = {
             "start_us": start_us,
             "window_us": self.duration_us(t, start_us),

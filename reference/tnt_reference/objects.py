@@ -14,8 +14,10 @@ from torch.nn import functional as F
 
 
 class FoundObject(NamedTuple):
-    """An object: the number of its class, its probability, and its place on the map, in columns and
-    rows."""
+    """An object: the number of its class, its probability, and its place on the map.
+
+    The place is given in columns and rows.
+    """
 
     label: int
     probability: float

@@ -122,7 +122,7 @@ def _next_crossing(
 ) -> tuple[float, float, int] | None:
     """Time, log luminance and polarity where the light first reaches `upper` or `lower`.
 
-    None if it does not until t1.
+    None if the light reaches neither of them until t1.
     """
     # The light may be past a level already, but only if the level started far from the light.
     if light_now >= upper:

@@ -98,9 +98,9 @@ def tnt_volume(
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, grid, bins, polarity, dtype : as for `event_volume`,
+    t, x, y, p, start_us, window_us, sensor, grid, bins, polarity, dtype : see `event_volume`,
         whose errors are the same.
-    t_max, landmark, remove_flow : as for `tnt_coordinates`.
+    t_max, landmark, remove_flow : see `tnt_coordinates`.
 
     Returns
     -------

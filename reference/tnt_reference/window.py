@@ -66,7 +66,10 @@ def window_events(
 
 
 def whole_pixels(events: WindowEvents) -> torch.Tensor:
-    """(N, 2) int64 pixels, for what counts events per pixel. Floats are refused."""
+    """The events' pixels, (N, 2) int64, for what counts events per pixel.
+
+    Floats are refused.
+    """
     if len(events.dt) and events.pixels.is_floating_point():
         raise TypeError(
             "`x` and `y` must be whole pixels: events are counted per pixel, and not splatted"
@@ -175,7 +178,7 @@ def check_range(name: str, column: torch.Tensor, low: float, high: float) -> Non
 
 
 def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int, int]:
-    """(width, height) as two ints, each at least `smallest`."""
+    """The size (width, height) as two ints, each at least `smallest`."""
     try:
         width, height = map(operator.index, size)
     except (TypeError, ValueError):

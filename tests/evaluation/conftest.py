@@ -23,8 +23,10 @@ def samples(tmp_path_factory):
 
 
 def dask_cluster(n_workers):
-    """Workers of one thread each, which are replaced when they end; a task that has ended one is
-    given up."""
+    """Workers of one thread each, which are replaced when they end.
+
+    A task that has ended a worker is given up.
+    """
     distributed = pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
     with importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0}):
         return distributed.LocalCluster(
@@ -43,8 +45,11 @@ def clusters():
 
 @pytest.fixture
 def cluster(clusters, monkeypatch):
-    """Address of a scheduler with two workers: another one if a test has ended some of them, which
-    Dask may never replace on a busy machine."""
+    """The address of a scheduler with two workers.
+
+    If a test has ended some workers, this is another scheduler, as Dask may never replace them
+    on a busy machine.
+    """
     monkeypatch.setattr(processes, "CONNECT_S", 120.0)
     if not clusters or len(clusters[-1].scheduler.workers) < 2:
         clusters.append(dask_cluster(2))

@@ -12,7 +12,7 @@ def twice(number):
 
 
 class OddError(Exception):
-    """It can be pickled but not unpickled."""
+    """An error that can be pickled but not unpickled."""
 
     def __init__(self, have, want):
         super().__init__(f"{have}, not {want}")

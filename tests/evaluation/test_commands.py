@@ -106,9 +106,12 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
 
 
 def test_what_is_decided_early_by_hand():
-    """Two windows of 1 ms, decided every 20 us: the first of class 0 by three decisions and its
-    end, two of them on an event at a moment and of a level's very probability; the second of class
-    2, never sure."""
+    """Two windows of 1 ms, decided every 20 us.
+
+    The first one is of class 0 by three decisions and its end. Two of the decisions are on an
+    event at a moment, and have exactly the probability of a level. The second window is of
+    class 2, and never sure.
+    """
     config = TNTConfig(window_us=1000)
 
     def window(*decisions):

@@ -39,7 +39,8 @@ def dataset(tmp_path_factory):
             if k == 1:
                 events["t"][700:] += 1_000_000
             write(folder / "Test" / name / f"{k}{('.npz', '.npy')[k % 2]}", events)
-    write(folder / "Train" / "flat" / "0.npy", bar("flat", 9))  # which is not evaluated
+    # Train is not evaluated.
+    write(folder / "Train" / "flat" / "0.npy", bar("flat", 9))
     return folder
 
 
@@ -52,8 +53,10 @@ def decided_by_hand(model, start_us, events):
 
 @pytest.fixture(scope="module")
 def windows(model, dataset):
-    """(recording, label, start, events, decisions at each fiftieth that brought events) of each
-    window."""
+    """Recording, label, start, events and decisions of each window.
+
+    There is a decision at each fiftieth of a window that brought events.
+    """
     found = []
     for path in sorted(dataset.glob("Test/*/*")):
         events = open_recording(path).read()
@@ -151,8 +154,7 @@ LEVELS = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
 
 
 def record_by_hand(model, events):
-    """What a result file says of a recording that is in order, but for events that come after their
-    window."""
+    """The record of a recording that is in order, except for events that come too late."""
     window_us = model.config.window_us
     step_us = window_us // 50
     number = (events["t"] - events["t"][0]) // window_us
@@ -175,7 +177,7 @@ def record_by_hand(model, events):
                 by_size[n] = processor.fire()
             before = n
 
-        # in the last window time ends with its events
+        # In the last window, time ends with the last event.
         passed = int(since[-1]) if k == number.max() else window_us - 1
         moments = [m for m in range(step_us, passed + 1, step_us) if m < window_us]
         sizes = np.searchsorted(since, moments).tolist()
@@ -213,7 +215,10 @@ def record_by_hand(model, events):
 def test_a_record_is_what_an_independent_count_of_its_recording_gives(
     model, window_us, tmp_path, program
 ):
-    """Also where a fiftieth of a window is no whole number of microseconds; pauses, late events."""
+    """The recordings have pauses, and late events.
+
+    In some windows a fiftieth is no whole number of microseconds.
+    """
     of_window = thesis_model(model.config.replace(window_us=window_us), model.weights, CLASSES)
     saved = of_window.save(tmp_path / "m.safetensors")
     kept = []

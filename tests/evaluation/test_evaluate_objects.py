@@ -1,5 +1,7 @@
-"""`async-tnt evaluate` of a map model: counts by hand, tables in both forms, and what is
-refused."""
+"""`async-tnt evaluate` of a map model.
+
+The tests have counts by hand, tables in both forms, and what is refused.
+"""
 
 import json
 import weakref
@@ -78,8 +80,10 @@ def write_boxes(path, rows=TRUTH):
     "write, name", [(write_points, "a_td_objects.csv"), (write_boxes, "a_bbox.npy")]
 )
 def test_counts_by_hand(folder, saved, program, write, name):
-    """At 6000 three objects are there and three are found, two of them rightly. After .3 of the
-    window one is found. At 9900 one is there and found."""
+    """At 6000 three objects are there and three are found, two of them rightly.
+
+    After .3 of the window one is found. At 9900 one is there and found.
+    """
     write(folder / name)
     code, out, _ = program("evaluate", saved, folder, "--json")
     report = json.loads(out)
@@ -142,8 +146,10 @@ def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, progr
 
 
 def test_prophesees_names(folder, saved, program):
-    """By the dictionary beside the boxes; of a class that the model does not know, they do not
-    count."""
+    """The dictionary beside the boxes names the classes.
+
+    Boxes of a class that the model does not know do not count.
+    """
     write_boxes(folder / "a_bbox.npy")
     (folder / "label_map_dictionary.json").write_text('{"0": "off", "1": "truck"}')
     code, out, err = program("evaluate", saved, folder, "--json")
@@ -342,7 +348,7 @@ def test_how_near_is_near_enough(tmp_path):
 
 
 def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
-    """As spreadsheets write it."""
+    """Spreadsheets write such a mark."""
     path = tmp_path / "a_objects.csv"
     write_points(path)
     expected = read_table(path, ("on", "off"))
@@ -353,8 +359,10 @@ def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
 
 
 def test_matches_by_hand():
-    """An object that is there is matched once, by the nearest find of its class; a second find near
-    it is wrong."""
+    """An object that is there is matched once, by the nearest found object of its class.
+
+    A second found object near it is wrong.
+    """
     found = np.zeros((4, FOUND_SIZE))
     found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0), (30, 10, 0.7, 1), (50, 10, 0.6, 1)]
     labels = np.array([0, 0, 1])
@@ -376,7 +384,10 @@ def test_matches_by_hand():
 
 
 def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
-    """At every angle, a thousandth inside and outside; with one number for all, a circle."""
+    """Places a thousandth inside and outside of the ellipse, at every angle.
+
+    With one number for all, the ellipse is a circle.
+    """
     middle = np.array([[20.0, 30.0]])
     found = np.zeros((1, FOUND_SIZE))
     for reach in (np.array([[8.0, 3.0]]), np.array([[0.5, 6.0]]), 5.0):

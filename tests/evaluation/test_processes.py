@@ -1,5 +1,7 @@
-"""Every way to run many tasks: each task is done once, lost workers are replaced, and workers end
-with the program."""
+"""Every way to run many tasks.
+
+Each task is done once, lost workers are replaced, and workers end with the program.
+"""
 
 import contextlib
 import os
@@ -85,7 +87,8 @@ def test_a_call_over_its_limit_ends_the_worker():
     worker = Worker()
     worker.submit(twice, 2)
     assert worker.result() == 4
-    worker.submit(time.sleep, 3600, limit_s=0.1)  # by itself, if its parent is gone
+    # The worker ends by itself, even if its parent is gone.
+    worker.submit(time.sleep, 3600, limit_s=0.1)
     with pytest.raises(
         WorkerEnded, match="a worker process crashed, hung, was killed, or ran out of memory"
     ):

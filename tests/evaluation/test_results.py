@@ -1,5 +1,7 @@
-"""The result file: one record per recording, and the same file whatever happened on the way to
-it."""
+"""The result file has one record for each recording.
+
+It is the same file whatever happened on the way to it.
+"""
 
 import fcntl
 import os

@@ -1,5 +1,7 @@
-"""Small data sets in the layouts of N-MNIST and MNIST, MNIST itself, and the laboratory's commands
-as a function."""
+"""Small data sets in the layouts of N-MNIST and MNIST, and MNIST itself.
+
+A fixture runs the laboratory's commands as a function.
+"""
 
 import importlib
 
@@ -11,8 +13,10 @@ from experiments.scripts.options import exit_with
 
 @pytest.fixture(scope="session")
 def nmnist(tmp_path_factory):
-    """4 recordings of each digit in Train (by their names, of MNIST's test images 5 to 44), 1 in
-    Test."""
+    """A folder with 4 recordings of each digit in Train, and 1 in Test.
+
+    By their names, those in Train show MNIST's test images 5 to 44.
+    """
     return write_small_nmnist(tmp_path_factory.mktemp("N-MNIST"), n_train=4, first_number=60_006)
 
 

@@ -74,8 +74,10 @@ def test_the_recorded_run_was_a_full_one_of_this_script(quick):
 
 
 def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
-    """On simulated recordings in N-MNIST's layout: numbered from 1, as the images that they
-    show."""
+    """The recordings are simulated, in N-MNIST's layout.
+
+    They are numbered from 1, as the images that they show.
+    """
     mnist = write_small_mnist(tmp_path, 20)
     images, labels = load_mnist(mnist, "train")
     for i, (image, label) in enumerate(zip(images, labels, strict=True)):

@@ -1,5 +1,7 @@
-"""N-MOVING-MNIST's simulator beside N-MNIST: numbers by hand, and real recordings where the data is
-at hand."""
+"""N-MOVING-MNIST's simulator beside N-MNIST.
+
+The tests have numbers by hand, and real recordings where the data is at hand.
+"""
 
 import numpy as np
 import pytest
@@ -16,8 +18,11 @@ ACROSS = "ON - OFF centroid, across the motion"
 
 
 def test_centroids_along_and_across_the_motion_by_hand():
-    """ON - OFF is (-2, -4): downwards, at 90 degrees, that is -4 along and 2 across; at 180 degrees
-    2 along and 4."""
+    """ON - OFF is (-2, -4).
+
+    For a motion downwards, at 90 degrees, this is -4 along and 2 across. At 180 degrees it is 2
+    along and 4 across.
+    """
     rows = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0), (9_000, 9, 9, 1)]
     events = np.array(rows, EVENT_DTYPE)
     both = describe_motions([events, events], (0, 9_000), [90, 180])
@@ -27,8 +32,11 @@ def test_centroids_along_and_across_the_motion_by_hand():
 
 
 def test_simulations_are_like_the_real_recordings_of_the_same_images(data):
-    """N-MNIST's first 60 have the same pixels, polarity and saccade as their simulations, and are
-    far more alike than recordings of different images."""
+    """The first 60 recordings of N-MNIST are like their simulations.
+
+    They have the same pixels, polarity and saccade, and are far more alike than recordings of
+    different images.
+    """
     if not (data / "mnist").is_dir():
         pytest.skip(f"no mnist in {data}")
     paths = sorted((data / "nmnist" / "Train").glob("*/00*.bin"), key=lambda path: path.stem)[:60]

@@ -1,5 +1,7 @@
-"""How `digits` was trained: its recordings, and its steps, each of which continues the one
-before."""
+"""How `digits` was trained: its recordings and its steps.
+
+Each step continues the one before.
+"""
 
 import gzip
 from dataclasses import replace

@@ -18,8 +18,10 @@ IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
 @pytest.mark.parametrize("script, name", [(figure_motions, "motions")])
 def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_path):
-    """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw them
-    again."""
+    """Dots that one matplotlib puts elsewhere than the next are not compared.
+
+    When this fails: draw them again.
+    """
     again = tmp_path / "again.png"
     assert script.main(["3", "--picture", str(again)]) == 0
     kept = in_squares(image.imread(IMAGES / f"{name}.png"))

@@ -20,7 +20,8 @@ of_straight = pytest.mark.parametrize("motion", STRAIGHT.values(), ids=STRAIGHT)
 @of_straight
 def test_a_digit_is_displaced_as_stated_from_the_centre_or_through_it(motion):
     x, y = motion.trajectory(RNG).position(np.arange(0, 105_001, 500))
-    angle = np.radians(motion.direction_deg)  # to the right and, as y grows downwards, down
+    # An angle of 0 is to the right, and 90 degrees are down, as y grows downwards.
+    angle = np.radians(motion.direction_deg)
     by_hand = motion.distance_px * np.cos(angle), motion.distance_px * np.sin(angle)
     np.testing.assert_allclose((x[-1] - x[0], y[-1] - y[0]), by_hand, atol=1e-9)
     at_centre_us = 0 if "centre" in motion.kind else 52_500
@@ -33,8 +34,10 @@ def test_a_digit_is_displaced_as_stated_from_the_centre_or_through_it(motion):
 
 
 def test_motions_beyond_those_that_are_resynthesized():
-    """14 px through the centre at constant velocity; 5 px and back; round a loop whose first side
-    is 4 px."""
+    """The motions are 14 px through the centre, 5 px and back, and a loop.
+
+    The first one has a constant velocity. The first side of the loop is 4 px.
+    """
     moving = motions_of("beyond")
     assert [motion.name for motion in moving[:4]] == [
         "000deg-14px",
@@ -55,11 +58,13 @@ def test_motions_beyond_those_that_are_resynthesized():
         assert np.ptp(across) == pytest.approx(4 if motion.shape == "loop" else 0, abs=0.01)
 
 
-# of all distances
+# Every fourth motion: they have all distances.
 @pytest.mark.parametrize("motion", motions_of()[::4], ids=lambda motion: motion.name)
 def test_events_move_as_stated_by_cross_correlation(motion):
-    """Events of the window's first fifth are correlated with those of its last: .8 of the
-    displacement lies between them."""
+    """Events of the window's first fifth are correlated with those of its last fifth.
+
+    .8 of the displacement lies between them.
+    """
     rng = np.random.default_rng(motion.index)
     image = np.zeros((28, 28))
     image[9:19, 10:12] = 1.0

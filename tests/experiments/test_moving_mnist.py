@@ -25,8 +25,10 @@ def simulate(experiment, mnist, tmp_path):
 
 
 def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simulate, tmp_path):
-    """Simulations in N-MNIST's layout stand for N-MNIST: numbered from 1 under Test, as
-    officially."""
+    """Simulations in N-MNIST's layout stand for N-MNIST.
+
+    They are numbered from 1 under Test, as in the official set.
+    """
     nmnist = tmp_path / "nmnist"
     out = tmp_path / "moving"
     assert simulate("--digits", 8, "--motions", "nmnist", "--bin", nmnist)[0] == 0

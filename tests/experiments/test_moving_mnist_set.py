@@ -1,5 +1,7 @@
-"""The set: every recording is what its seed says, however the work was shared out, cut or
-interrupted."""
+"""Every recording of the set is what its seed says.
+
+This holds however the work was shared out, cut or interrupted.
+"""
 
 import json
 import shutil
@@ -99,8 +101,10 @@ def test_a_set_of_other_parameters_or_without_its_manifest_is_refused_and_left_a
 
 
 def test_open_set_gives_what_build_gave(made):
-    """A shard for each motion and two images; all recordings differ, and lie in one window of 105
-    ms."""
+    """There is a shard for each motion and two images.
+
+    All recordings differ, and lie in one window of 105 ms.
+    """
     opened = open_set(made.folder)
     assert opened == made and opened.motions == motions_of("constant")
     assert len(made) == 150 and [len(shard) for shard in made] == [2, 2, 1] * 30

@@ -1,5 +1,7 @@
-"""Shards and MNIST's files: what is written is read; other or damaged files are refused by name, or
-keep the rules."""
+"""Shards and MNIST's files are read as they were written.
+
+Other or damaged files are refused by name, or keep the rules.
+"""
 
 import gzip
 

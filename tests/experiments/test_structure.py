@@ -1,5 +1,7 @@
-"""The laboratory has commands at its top and everything else in folders, which import each other
-in one direction."""
+"""The laboratory has commands at its top, and everything else in folders.
+
+The folders import each other in one direction.
+"""
 
 import ast
 from pathlib import Path
@@ -17,8 +19,10 @@ FILES = {
 
 
 def imports_of(path):
-    """Names of the modules that a file imports, or imports names from, also inside its
-    functions."""
+    """Names of the modules that a file imports, or imports names from.
+
+    Imports inside of functions count, too.
+    """
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -39,8 +43,10 @@ FOLDERS = {folder_of(module) for module in FILES} - {"experiments"}
 
 
 def circle_in(imports):
-    """What is left of a graph (name -> names that it imports) when those that import nothing of it
-    are removed again and again: nothing, if it has no circle."""
+    """What is left of a graph when names that import nothing of it are removed again and again.
+
+    The graph has the names that each name imports. Nothing is left if it has no circle.
+    """
     left = dict(imports)
     while True:
         ends = {name for name, others in left.items() if not others & left.keys()}
@@ -71,7 +77,7 @@ def test_there_is_no_circle():
 
 
 def test_no_folders_import_each_other():
-    """Neither directly nor by way of others."""
+    """Folders import each other neither directly nor by way of other folders."""
     imports = {folder: set() for folder in FOLDERS}
     for module in FILES.keys() - COMMANDS:
         imports[folder_of(module)] |= {folder_of(other) for other in IMPORTS[module]}

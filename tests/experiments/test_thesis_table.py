@@ -149,7 +149,7 @@ def test_results_put_into_a_file_of_more_rows():
     moved = {**old["rows"]["raw-motions"], "motions": {"all": {}}}
     new |= {"rows": {"raw-motions": moved}, "validation": {}, "curves": {"x": []}}
     new |= {"differences": [{**before, "mean": 0.125, "p": 0.9}]}
-    # of old numbers
+    # A difference of old numbers is left out.
     assert (
         len(merged(old, {**new, "differences": []})["differences"]) == len(old["differences"]) - 1
     )
@@ -181,8 +181,10 @@ def test_results_put_into_a_file_of_more_rows():
 
 
 def test_an_interval_by_hand():
-    """Two seeds, two digits: means of seeds .2, .4, of digits .1, .5, so variances .02 / 2 and .08
-    / 2."""
+    """Two seeds with means .2 and .4, and two digits with means .1 and .5.
+
+    So the variances are .02 / 2 and .08 / 2.
+    """
     found = interval(np.array([[0.0, 0.4], [0.2, 0.6]]))
     freedom = 0.05**2 / (0.01**2 + 0.04**2)
     half = stats.t.ppf(0.975, freedom) * 0.05**0.5
@@ -233,8 +235,10 @@ def test_differences_are_taken_digit_by_digit_and_adjusted_within_their_question
 
 
 def test_effects_of_factors_by_hand():
-    """TNT gains .2 on bright digits, .1 from the centre, and nothing else; then .4 where both are
-    so."""
+    """TNT gains .2 on bright digits, .1 from the centre, and nothing else.
+
+    Where digits are bright and start from the centre, it gains .3, and then .4.
+    """
     for together in (0.0, 0.1):
         right = {}
         rng = np.random.default_rng(0)
@@ -323,7 +327,7 @@ def test_results_record_what_was_done(done):
             f"{on}/{name}" for name in list(SETS)[1:] for on in ("all", "1")
         ]
         sizes = [columns[c]["windows"] for c in columns]
-        # of 40 recordings; of 2 images that none of them shows
+        # The tests have 40 recordings, and 2 images that no recording shows.
         assert sizes == [30, 30, 20, 120, *[60] * 18]
         assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30, *[0] * 16]
         assert list(columns["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]
@@ -335,8 +339,10 @@ def test_results_record_what_was_done(done):
 
 
 def test_the_numbers_are_those_of_the_networks_beside_them(done):
-    """Counted once more, recording by recording, through the stream's own volumes and compiled
-    network."""
+    """The windows are counted once more, recording by recording.
+
+    This uses the stream's own volumes and the compiled network.
+    """
     model = load_model(done / "networks" / Run("raw", "1", 3).name / "model.safetensors")
     processor = Processor(model, start_us=0)
     right = []

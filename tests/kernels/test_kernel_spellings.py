@@ -164,7 +164,7 @@ EXACT = {
 
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_functions_are_those_of_mathematics(function):
-    """To a few units in the last place of float32, also at the ends of its range.
+    """They are equal to a few units in the last place of float32, also at the ends of its range.
 
     GELU, where it is small, is a small difference of larger numbers: it is compared as a share of
     x, to 1e-6.

@@ -1,5 +1,7 @@
-"""The networks that the laws of this folder hold for, each with its configuration. Another network
-is one line more."""
+"""The networks that the laws of this folder hold for, each with its configuration.
+
+Another network is one line more.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,9 @@ WINDOW_US = 4000
 
 
 class Network:
-    """A grid, bins, widths of the layers and a number of classes; `settings` are those of
-    TNTConfig.
+    """A grid, bins, widths of the layers and a number of classes.
+
+    `settings` are those of TNTConfig.
 
     The laws use the methods below and nothing else of it.
     """
@@ -65,8 +68,10 @@ class Network:
 
     @cache  # noqa: B019
     def dense(self, seed: int = 0) -> CompiledClassifier:
-        """The standard that updates are compared with: called with arrays only, and so computing
-        everything."""
+        """The standard that updates are compared with.
+
+        It is called with arrays only, and so computes everything.
+        """
         return self.classifier(seed)
 
     def volume(self, config: TNTConfig | None = None) -> TNTVolume:

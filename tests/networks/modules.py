@@ -25,8 +25,10 @@ class Block(nn.Module):
 
 
 class Branches(nn.Module):
-    """Residual blocks, a concatenation, a mean, a view: methods, functions and modules, one of a
-    function's name."""
+    """A module with residual blocks, a concatenation, a mean and a view.
+
+    It has methods, functions and modules. One module has the name of a function.
+    """
 
     def __init__(self):
         super().__init__()
@@ -50,7 +52,7 @@ class Branches(nn.Module):
 
 
 def branches():
-    """With random weights and statistics."""
+    """A module of branches, with random weights and statistics."""
     torch.manual_seed(0)
     module = Branches()
     for part in module.modules():

@@ -1,6 +1,8 @@
-"""Torch modules made at random from what people write: layers and functions, in place or not,
-shared, hooked, of own classes, with views and with results that nobody reads. Each can be made
-again from its seed."""
+"""Torch modules that are made at random from what people write.
+
+Layers and functions are in place or not, shared, hooked, or of own classes. There are views, and
+results that nobody reads. Each module can be made again from its seed.
+"""
 
 from __future__ import annotations
 
@@ -115,7 +117,7 @@ class _Builder:
         with torch.no_grad():
             try:
                 shape = tuple(module(torch.ones(1, *SHAPE)).shape[1:])
-            except Exception:  # of torch: these shapes do not go together
+            except Exception:  # torch refuses these shapes
                 return
         self.steps.append(step)
         if result:

@@ -1,5 +1,7 @@
-"""Networks made at random: any layers in any order, branches that are added or joined, weights with
-zeros."""
+"""Networks that are made at random.
+
+They have any layers in any order, branches that are added or joined, and weights with zeros.
+"""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -119,7 +121,7 @@ def _batch_norm(make, source, shape):
 
 def _function(op):
     def draw(make, source, shape):
-        if op == "log1p":  # of numbers above -1
+        if op == "log1p":  # its input must be above -1
             source = make.add("clip", [source], low=-0.75, high=None)
         return make.add(op, [source])
 

@@ -1,6 +1,8 @@
-"""ONNX files made at random, as other programs write them and as they should not: opsets 9 to 22,
-old and new forms of attributes, training mode, operations of other domains, weights of any type.
-Each can be made again from its seed."""
+"""ONNX files that are made at random, as other programs write them and as they should not.
+
+They have opsets 9 to 22, old and new forms of attributes, training mode, operations of other
+domains, and weights of any type. Each file can be made again from its seed.
+"""
 
 from __future__ import annotations
 
@@ -259,7 +261,7 @@ def _shape(proto: onnx.ModelProto) -> tuple[int, ...] | None:
     """(C, H, W) or (N,) of the output, by ONNX's own rules; None where they do not tell."""
     try:
         output = onnx.shape_inference.infer_shapes(proto).graph.output[0].type.tensor_type.shape.dim
-    except Exception:  # of the many that a wrong file may raise
+    except Exception:  # a wrong file raises errors of many types
         return None
     sides = tuple(side.dim_value for side in output)[1:]
     return sides if sides and min(sides) > 0 else None
@@ -321,7 +323,7 @@ def _pools_otherwise(of: _Of) -> bool:
 
 
 def _reshapes_otherwise(of: _Of) -> bool:
-    """To other than one row a volume."""
+    """Whether a node reshapes to anything but one row for each volume."""
     rows, n = of.constants[0].tolist()
     one_row = [-1, int(np.prod(of.source[1:]))]
     if rows == 0 and of.get("allowzero", 0) == 1:
@@ -363,7 +365,7 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
     try:
         onnx.checker.check_model(proto)
         shapes = _shapes(proto)
-    except Exception:  # of the many that a wrong file may raise
+    except Exception:  # a wrong file raises errors of many types
         return ["no valid file"]
     values = _values(proto)
     found = []

@@ -1,5 +1,7 @@
-"""A small model, with a landmark network and without, and files of any content; for the tests in
-this folder."""
+"""A small model, with a landmark network and without, and files of any content.
+
+The tests in this folder use them.
+"""
 
 import json
 

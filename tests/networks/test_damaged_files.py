@@ -1,5 +1,7 @@
-"""A damaged or foreign model file, of ours or of ONNX, is refused in one line with its path; only a
-sound one loads."""
+"""A damaged or foreign model file, of ours or of ONNX, is refused in one line with its path.
+
+Only a sound file loads.
+"""
 
 import json
 import re

@@ -1,5 +1,7 @@
-"""All engines give the compiled network's logits, landmarks and decisions, in Python and by
-`async-tnt run`."""
+"""All engines give the compiled network's logits, landmarks and decisions.
+
+They do so in Python and by `async-tnt run`.
+"""
 
 import json
 import re
@@ -121,5 +123,6 @@ def test_missing_packages_give_one_line(
     code, out, error = program(*words.replace("EXPORTED", str(exported)).split())
     assert (code, out) == (2, "")
     assert re.fullmatch(rf"async-tnt: {message}: pip install 'async_tnt\[onnx\]' \(.*\)\n", error)
-    if missing == "onnx":  # which writes; onnxruntime runs
+    # The package onnx is needed to write a file, but not to run it.
+    if missing == "onnx":
         assert program("run", SAMPLES[0], "--model", exported)[0] == 0

@@ -1,5 +1,7 @@
-"""ONNX files of this and of other programs compute what they computed there, or are refused by
-name."""
+"""ONNX files of this and of other programs compute what they computed there.
+
+Those that cannot are refused by name.
+"""
 
 import json
 import re
@@ -155,7 +157,7 @@ def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
 
 
 def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):
-    """Not those of the same name in the current folder."""
+    """Weights of the same name in the current folder are not read."""
     found = []
     for name, factor in (("a", 1.0), ("b", -1.0)):
         (tmp_path / name).mkdir()
@@ -252,8 +254,10 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
         "q": np.tri(60, dtype=np.float32) / 60,
     }
     path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))
-    assert len(load_model(path, config=SMALL).classes) == 3  # and compared with it
-    path.write_bytes(network(dtype=onnx.TensorProto.FLOAT16))  # as exactly as half precision is
+    # `load_model` also compares the network with onnxruntime.
+    assert len(load_model(path, config=SMALL).classes) == 3
+    # A network of half precision is compared as exactly as its numbers are.
+    path.write_bytes(network(dtype=onnx.TensorProto.FLOAT16))
     assert len(load_model(path, config=SMALL).classes) == 3
 
 
@@ -262,7 +266,8 @@ def test_layers_named_as_weights_and_as_the_output_can_be_exported():
         {"op": "flatten", "name": "w", "inputs": ["volume"]},
         {"op": "dense", "name": "logits", "inputs": ["w"], "weights": {"weight": "w"}},
         {"op": "silu", "name": "s", "inputs": ["logits"]},
-        {"op": "relu", "name": "s.sigmoid", "inputs": ["s"]},  # as the export names a part of `s`
+        # The export gives this name to a part of `s`.
+        {"op": "relu", "name": "s.sigmoid", "inputs": ["s"]},
         {"op": "relu", "name": "last", "inputs": ["s.sigmoid"]},
     ]
     model = Model(SMALL, {"w": np.eye(3, 60)}, ["a", "b", "c"], network={"classifier": layers})
@@ -309,7 +314,7 @@ def config_file(tmp_path):
 @EVEN_KERNEL
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_what_torch_exports_runs_compiled(tmp_path):
-    """It is compared with onnxruntime as it is read."""
+    """The network is compared with onnxruntime when its file is read."""
     path = tmp_path / "net.onnx"
     config = tmp_path / "net.json"
     torch.onnx.export(branches().eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)

@@ -30,13 +30,16 @@ def model_of(module):
 
 @EVEN_KERNEL
 def test_a_torch_module_computes_what_it_did(tmp_path):
-    """As in eval mode, whichever it is in, and left as it was; saved and loaded, too; and from its
-    layers in torch."""
+    """The model computes what the module does in eval mode, and leaves the module as it was.
+
+    So does the model that was saved and loaded, and so do its layers in torch.
+    """
     module = branches().train()
     model = model_of(module)
     assert module.training and (model.classes, model.record) == (tuple("abcd"), {"by": "hand"})
     state = module.state_dict()
-    own = {key: w for key, w in model.weights.items() if "()" not in key}  # not a function's
+    # Weights of functions have names with "()". The module has no such weights.
+    own = {key: w for key, w in model.weights.items() if "()" not in key}
     assert all(np.array_equal(w, state[key].numpy()) for key, w in own.items())
     expected = logits_of(module)
     assert np.ptp(expected) > 0.1
@@ -76,7 +79,7 @@ def depends_on_the_mode(m, x):
 
 
 def scales_the_volume(m, x):
-    """By numbers, also in place, and by one for each channel."""
+    """A module that multiplies the volume by numbers, also in place and by channel."""
     x.div_(10)
     return m.logits(m.conv((1.5 * x - 0.25) / m.scales))
 
@@ -200,7 +203,7 @@ UNREAD = {  # named as they would be if their results were read
 
 @pytest.mark.parametrize("name", UNREAD)
 def test_an_unknown_change_in_place_is_refused_though_nobody_reads_its_result(name):
-    """For most of them, no volume shows a difference."""
+    """For most of these changes, no volume shows a difference."""
 
     def body(m, x):
         h = m.conv(x)

@@ -1,5 +1,8 @@
-"""What the compiled classifier computes: bit for bit its twin in NumPy, by hand, and finite or
-refused."""
+"""What the compiled classifier computes.
+
+It equals its twin in NumPy bit for bit, and numbers that were computed by hand. A volume's logits
+are finite, or it is refused.
+"""
 
 from importlib import import_module
 from pkgutil import walk_packages
@@ -16,8 +19,10 @@ from async_tnt.kernels.decisions import classify
 
 
 def test_no_kernel_may_reorder_arithmetic():
-    """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the
-    equations."""
+    """The bits stay the same, however a stream is cut.
+
+    For this, sums keep their order, and 1 / 0 is inf as in the equations.
+    """
     compiled = []
     for module in walk_packages(kernels.__path__, f"{kernels.__name__}."):
         values = vars(import_module(module.name)).values()
@@ -32,8 +37,7 @@ def test_no_kernel_may_reorder_arithmetic():
 
 @pytest.mark.parametrize("network", [network for network in NETWORKS if network.widths], ids=str)
 def test_logits_are_those_of_the_twin_bit_for_bit(network):
-    """After events, where many channels are empty, and for arrays in which none is, or each second
-    one."""
+    """The volumes are of events, with many empty channels, and arrays with few or none."""
     model = network.model()
     classifier = network.classifier()
     volume = network.volume()
@@ -54,9 +58,11 @@ CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform
 
 
 def by_hand() -> Model:
-    """8 x 8 pixels, one bin: the first convolution is the middle tap and its negative, the second
-    adds the one and four times the other, the dense layer weighs the four places by 1, 10, 100,
-    1000."""
+    """A network of 8 x 8 pixels and one bin, with simple weights.
+
+    The first convolution is the middle tap and its negative. The second one adds the first map
+    and four times the other map. The dense layer weighs the four places by 1, 10, 100, 1000.
+    """
     weights = {
         name: np.zeros_like(w)
         for name, w in random_model(CONFIG, classes=2, widths=(2, 1, 1)).weights.items()
@@ -71,8 +77,10 @@ def by_hand() -> Model:
 
 
 def test_one_small_network_event_by_event():
-    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16; the hidden unit has
-    a bias of 1/2."""
+    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16.
+
+    The hidden unit has a bias of 1/2.
+    """
     classifier = CompiledClassifier(by_hand())
     volume = TNTVolume(CONFIG)
     hidden = 0.5
@@ -141,8 +149,10 @@ def overflowing(**settings) -> list[Processor]:
     ],
 )
 def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
-    """Its later events are not: pushed again, the stream continues there. After the next event,
-    which cancels it, the stream is as without both."""
+    """Its later events are not: pushed again, the stream continues there.
+
+    After the next event, which cancels it, the stream is as without both.
+    """
     loud = [4, 9, 700, 1303]
     k = np.arange(1500)
     events = events_of(100 + k, k % 3, (k + 1) % 3, [1] * 1500)  # quiet ones, at the upper left
@@ -163,7 +173,8 @@ def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, s
                 assert str(error).startswith(FINITE[1:])
                 first = processor.counts.received
                 errors.append(first - 1)
-                assert len(errors) <= len(loud)  # and not the same one again and again
+                # The same event must not fail again and again.
+                assert len(errors) <= len(loud)
         decisions += processor.finish()
         assert errors == loud and processor.counts.received == 1500
         found.append((processor.counts, decisions[-1].logits.tobytes(), decisions[-1].events))

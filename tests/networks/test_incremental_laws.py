@@ -1,5 +1,7 @@
-"""Incremental networks: after any events, windows and copies the logits of a whole forward pass,
-bit for bit."""
+"""Incremental networks have the logits of a whole forward pass, bit for bit.
+
+This holds after any events, windows and copies.
+"""
 
 import copy
 import itertools
@@ -131,7 +133,7 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
 @pytest.mark.parametrize("duplicate", DUPLICATES)
 @pytest.mark.parametrize("network", [DIGITS, LARGE], ids=str)
 def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, duplicate):
-    """With as many other events in each, which only the volume itself tells apart."""
+    """Both have as many events, but other ones. Only the volume itself tells them apart."""
     volume = network.volume()
     classifier = network.classifier()
     width, height = network.config.sensor
@@ -148,8 +150,10 @@ def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, dupl
 
 
 def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
-    """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first
-    process."""
+    """The other process numbers its windows 1, 2, 3 .. too.
+
+    The classifier must not take one of them for a window of the first process.
+    """
     classifier = SMALL.classifier()
     volume = SMALL.volume()
     volume.update(random_events(10, seed=1, duration_us=900, sensor=SMALL.config.sensor))

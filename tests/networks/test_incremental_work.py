@@ -13,8 +13,12 @@ RAW = NETWORKS[8]
 
 
 def test_one_event_in_the_thesis_network():
-    """It changes 2 x 2 pixels, seen by 4 x 4 places of the first convolution; pooled, these are 2
-    or 3 places a side; seen by 4 or 5 places of the second convolution; pooled, by 2 or 3 again."""
+    """One event changes 2 x 2 pixels, and so a few places of each layer.
+
+    The pixels are seen by 4 x 4 places of the first convolution. After pooling, these are 2 or
+    3 places a side. They are seen by 4 or 5 places of the second convolution, and after pooling
+    by 2 or 3 again.
+    """
     network = RAW.classifier()
     volume = RAW.volume(RAW.config.replace(transform="tnt", landmark="center"))
     volume.open(0)

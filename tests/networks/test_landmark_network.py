@@ -1,5 +1,7 @@
-"""The compiled landmark network by hand. Against the torch reference:
-test_volume_equals_reference.py."""
+"""The compiled landmark network by hand.
+
+Against the torch reference: test_volume_equals_reference.py.
+"""
 
 import numpy as np
 import pytest
@@ -18,8 +20,10 @@ def test_the_zero_heatmap_gives_the_image_centre_exactly():
 
 
 def middle_taps(config: TNTConfig, heatmap: float) -> CompiledRegressor:
-    """Every convolution is its middle tap: the heatmap's exponent is `heatmap` times ReLU(V), of
-    one bin."""
+    """Every convolution is its middle tap.
+
+    So the heatmap's exponent is `heatmap` times ReLU(V), of one bin.
+    """
     weights = dict(random_regressor_model(config, regressor_widths=(1, 1, 1)).weights)
     kernel = np.zeros((1, 1, 3, 3))
     kernel[0, 0, 1, 1] = 1

@@ -1,5 +1,7 @@
-"""The layers in a model file: what does not fit, or cannot be run, is refused with the layer's
-name."""
+"""The layers in a model file.
+
+A layer that does not fit, or cannot be run, is refused with its name.
+"""
 
 import copy
 import json
@@ -133,7 +135,7 @@ def test_a_clip_between_equal_limits_gives_them(tmp_path):
 
 @pytest.mark.parametrize("edit, message", CANNOT_RUN + DAMAGED)
 def test_what_does_not_fit_is_one_error_that_names_the_layer(tmp_path, edit, message):
-    """From Python, and from a file with a valid checksum."""
+    """The layers come from Python, and from a file with a valid checksum."""
     network = copy.deepcopy(thesis_network(SMALL))
     path = tmp_path / "m"
     edit(network["classifier"])
@@ -263,8 +265,10 @@ def test_small_networks_by_hand():
 
 
 def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
-    """Many such maps take more memory than the layers say. A program that is made knows so before
-    it takes any."""
+    """Many such maps take more memory than the layers say.
+
+    A program that is made knows so before it takes any.
+    """
     many = [{**chain(conv())[0], "name": f"map {k}"} for k in range(12)]
     layers = [
         *many,

@@ -1,5 +1,4 @@
-"""Map models: what stands where, after any events and packets, equal to the reference on the whole
-map."""
+"""Map models find what the reference finds on the whole map, after any events and packets."""
 
 import copy
 import pickle
@@ -32,8 +31,10 @@ CONFIG = TNTConfig(
 
 
 def map_model(config=CONFIG, n_classes=3, seed=0) -> Model:
-    """A few convolutions and two heads that are joined; here and there a class is likelier than
-    nothing."""
+    """A network of a few convolutions and two heads that are joined.
+
+    At some places a class is likelier than nothing.
+    """
 
     class Net(nn.Module):
         def __init__(self):
@@ -63,7 +64,7 @@ def as_rows(objects):
 
 
 def expected_rows(logits, places):
-    """By the reference."""
+    """The rows of objects that the reference finds."""
     found = objects_on_map(torch.from_numpy(logits))
     return [
         (o.label, o.probability, places.x0 + places.dx * o.column, places.y0 + places.dy * o.row)
@@ -95,7 +96,7 @@ numbers = st.one_of(
     )
 )
 def test_objects_of_any_map_are_those_of_the_reference(logits):
-    """With many equal numbers, at borders, in one row."""
+    """The maps have many equal numbers, objects at borders, and objects in one row."""
     classes = [str(k) for k in range(len(logits) - 1)]
     processor = Processor(CONFIG, classifier=lambda volume: logits, classes=classes)
     decision = processor.fire()
@@ -122,7 +123,7 @@ def test_objects_by_hand():
     # 3 and 1 above nothing: 1/4 of a place to the right
     logits[0, 1, 1] = 4.0
     logits[0, 1, 2] = 2.0
-    # as likely as each other, side by side: one object, half a row below
+    # Two places, one above the other, are as likely as each other: one object, half a row below.
     logits[1, 0, 6] = 2.0
     logits[1, 1, 6] = 2.0
     config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
@@ -142,8 +143,10 @@ def test_objects_by_hand():
 
 
 def test_a_call_with_an_array_changes_no_later_objects():
-    """The array comes before the first volume, and between two. One of the models shows objects
-    without any event."""
+    """The array comes before the first volume, and between two.
+
+    One of the models shows objects without any event.
+    """
     model = map_model()
     seeing = {**model.weights, "nothing.bias": np.float32([-1.0])}
     for tested in (model, replace(model, weights=seeing)):
@@ -217,7 +220,7 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
     st.lists(st.sampled_from([1, 2, 40, "array", "copy", "other"]), min_size=3, max_size=25),
 )
 def test_scores_and_peaks_follow_the_map(seed, script):
-    """After single events, packets, whole passes, copies and another volume."""
+    """They are checked after single events, packets, whole passes, copies and another volume."""
     model = map_model(seed=seed)
     classifier = CompiledClassifier(model)
     dense = CompiledClassifier(model)
@@ -263,8 +266,10 @@ def test_fire_and_copies_leave_the_stream_as_it_is():
 
 
 def test_an_object_keeps_its_number_while_it_moves():
-    """Two objects that approach each other, one of which changes its class, and vanishes for less
-    than a window."""
+    """Two objects approach each other.
+
+    One of them changes its class, and vanishes for less than a window.
+    """
     config = CONFIG.replace(sensor=(80, 80), grid=(80, 80))
     shown = np.zeros((3, 20, 20), np.float32)  # places of 4 pixels
     processor = Processor(
@@ -281,7 +286,7 @@ def test_an_object_keeps_its_number_while_it_moves():
 
     assert show(0, (0, 2), (1, 15)) == {2: ("a", 0), 15: ("b", 1)}
     assert show(100, (0, 5), (1, 12)) == {5: ("a", 0), 12: ("b", 1)}
-    # of another class, and where only the first one can be
+    # An object of another class appears where only the first one can be.
     assert show(200, (1, 6)) == {6: ("b", 0)}
     assert show(300, (0, 7), (1, 11)) == {7: ("a", 0), 11: ("b", 1)}
     assert show(400, (0, 12)) == {12: ("a", 1)}
@@ -295,7 +300,7 @@ def test_an_object_keeps_its_number_while_it_moves():
 
 @pytest.mark.parametrize("late_us", [0, 1])
 def test_an_object_is_known_for_as_long_as_a_window_and_no_longer(late_us):
-    """Also by the reference."""
+    """The reference has the same rule."""
     numbers = ObjectNumbers((4.0, 4.0), memory_us=1000, most=2, room=4)
     assert numbers.follow(10, [(10.0, 10.0)]) == [0]
     assert numbers.follow(1010 + late_us, [(10.0, 10.0)]) == [late_us]
@@ -323,8 +328,10 @@ WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsi
 
 
 class Scene:
-    """A classifier whose map, a place for each pixel, shows single places of one class, each with a
-    score."""
+    """A classifier whose map shows single places of one class, each with a score.
+
+    The map has a place for each pixel.
+    """
 
     def __init__(self):
         self.map = np.zeros((2, 300, 300), np.float32)
@@ -340,8 +347,10 @@ class Scene:
 
 @pytest.mark.parametrize("likelier", [True, False], ids=["likelier", "less likely"])
 def test_a_still_object_keeps_its_number_in_noise(likelier):
-    """Ten false objects a decision, always elsewhere: soon far more have been seen than can be
-    remembered."""
+    """Each decision has ten false objects, always at other places.
+
+    Soon there were far more objects than can be remembered.
+    """
     rng = np.random.default_rng(5)
     scene = Scene()
     processor = Processor(
@@ -350,7 +359,7 @@ def test_a_still_object_keeps_its_number_in_noise(likelier):
     numbers = set()
     for k in range(300):
         rows, columns = rng.integers(0, 290, (2, 10))
-        columns[abs(columns - 150) < 8] = 4  # not near the object
+        columns[abs(columns - 150) < 8] = 4  # noise is not near the object
         scene.show([150, *rows], [150, *columns], [2.0 if likelier else 0.5] + [1.0] * 10)
         (decision,) = processor.push(([1000 * k], [5], [5], [1]))
         numbers |= {
@@ -358,7 +367,8 @@ def test_a_still_object_keeps_its_number_in_noise(likelier):
             for found in decision.objects
             if abs(found.x - 150) < 2 and abs(found.y - 150) < 2
         }
-    assert max(found.id for found in decision.objects) > 1000  # of noise
+    # Objects of noise have taken more than 1000 numbers.
+    assert max(found.id for found in decision.objects) > 1000
     assert len(numbers) == 1
 
 
@@ -381,7 +391,7 @@ def test_numbers_are_those_of_the_reference(seed):
         some = still[:, rng.random(still.shape[1]) < 0.8] + rng.integers(-1, 2, (2, 1))
         rows, columns = np.concatenate([some, rng.integers(0, 300, (2, n))], 1).clip(0, 299)
         scene.show(rows, columns, rng.uniform(0.5, 2.0, len(rows)))
-        # of a window that closes, and of this event
+        # There is a decision on a window that closes, and one after this event.
         for decision in processor.push(([t_us], [5], [5], [1])):
             objects = decision.objects
             first = numbers.next_number
@@ -399,8 +409,10 @@ def test_numbers_are_those_of_the_reference(seed):
 
 
 def test_places_lie_in_the_middle_of_what_they_depend_on():
-    """A pixel that a place depends on symmetrically: only there an impulse gives a symmetric
-    map."""
+    """A pixel that a place depends on symmetrically.
+
+    Only at such a pixel an impulse gives a symmetric map.
+    """
     net = nn.Sequential(
         nn.Conv2d(1, 1, 5, 2, 2),
         nn.MaxPool2d(2),
@@ -519,7 +531,8 @@ def test_what_a_map_model_refuses():
         Processor(CONFIG, classifier=lambda volume: np.zeros((3, 2, 2)), classes=list("abc")).fire()
     one_place = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(4, 4, 1))
     with pytest.raises(ValueError, match=r"must compute 3 logits, .* got \(4, 1, 1\)"):
-        Model.from_torch(one_place, CONFIG, ["a", "b", "c"])  # not a map, but a name too few
+        # This is no map: a name is missing.
+        Model.from_torch(one_place, CONFIG, ["a", "b", "c"])
     for classes in ("abcd", {"a", "b", "c", "d"}):
         with pytest.raises(TypeError, match="`classes` must be a tuple or list of names"):
             Model.from_torch(one_place, CONFIG, classes)

@@ -36,7 +36,7 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
     volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
     for loaded in (load_model(path), load_model(str(path))):
         assert_same(loaded, model)
-        # as what is made of them depends on their order
+        # What is made of the weights depends on their order.
         assert list(loaded.weights) == sorted(model.weights)
         assert loaded.network == model.network
         expected = CompiledClassifier(model)(volume).tobytes()
@@ -110,7 +110,10 @@ SHAPES = {name: w.shape for name, w in small_model(config=WITH_REGRESSOR).weight
 
 
 def assert_refused(message, path, weights, config=WITH_REGRESSOR):
-    """By Model, and by `load_model` as a damaged file; `message` is a regular expression."""
+    """Check that Model and `load_model` refuse a model with a message.
+
+    `load_model` reads it from a damaged file. `message` is a regular expression.
+    """
     with pytest.raises(ValueError, match=f"^{message}$"):
         thesis_model(config, weights, CLASSES)
     with np.errstate(over="ignore"):
@@ -124,8 +127,10 @@ def assert_refused(message, path, weights, config=WITH_REGRESSOR):
 # beyond float32
 @pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])
 def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
-    """One side more, one axis more, one axis less, empty: refused by the layer itself, or by the
-    next one, which reads it."""
+    """An array with one side more, one axis more or less, or without numbers is refused.
+
+    The layer itself refuses it, or the next layer, which reads the layer's output.
+    """
     shape = SHAPES[name]
     path = tmp_path / "m"
     wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(len(shape))]
@@ -145,7 +150,7 @@ def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
 
 
 def test_exactly_the_arrays_of_the_network(tmp_path):
-    """Those of a landmark network where the landmark needs one, and only there."""
+    """The arrays of a landmark network are needed where the landmark needs one, and only there."""
     path = tmp_path / "m"
     whole = changed(WITH_REGRESSOR)
     plain = changed(SMALL)

@@ -1,5 +1,7 @@
-"""OnnxClassifier and TorchClassifier: the networks of other programs, wrong ones, threads,
-copies."""
+"""OnnxClassifier and TorchClassifier.
+
+They run networks of other programs, refuse wrong ones, and work in threads and in copies.
+"""
 
 import copy
 import pickle
@@ -197,7 +199,7 @@ def test_a_bare_module_as_a_classifier_says_how_it_is_passed():
 
 
 def test_a_module_runs_in_eval_and_inference_mode_on_a_volume_of_its_own():
-    """It may work in place, and keep its input."""
+    """The module may work in place, and may keep its input."""
     seen = []
     kept = []
 

@@ -1,5 +1,6 @@
-"""Random torch modules and ONNX files: what is accepted computes what torch or onnxruntime does,
-for any volume.
+"""Random torch modules and ONNX files.
+
+What is accepted computes what torch or onnxruntime computes, for any volume.
 
 ASYNC_TNT_FUZZ_CASES makes it a long run: it was 20,000 modules and 5,000 files once.
 """
@@ -38,7 +39,7 @@ def volumes_of(config: TNTConfig, seed: int) -> list[np.ndarray]:
 
 
 def compiled_logits(model: Model, volumes: list[np.ndarray]) -> np.ndarray:
-    """By one network, which must keep nothing of the volumes before."""
+    """The logits of one network, which must keep nothing of the volumes before."""
     network = CompiledClassifier(model)
     return np.stack([network(volume) for volume in volumes]).astype(np.float64)
 
@@ -90,7 +91,7 @@ def largest_answer(onnxruntime, path, options) -> float | None:
     try:
         session = onnxruntime.InferenceSession(path, options)
         (answer,) = session.run(None, {"x": np.ones((1, *OF_FILES.shape), np.float32)})
-    except Exception:  # of many types
+    except Exception:  # a wrong file raises errors of many types
         return None
     return float(np.abs(answer).max())
 

@@ -1,5 +1,4 @@
-"""The pages: snippets run, commands exist, links lead somewhere, numbers and names are those of the
-code."""
+"""The pages: snippets run, commands exist, links work, numbers and names are those of the code."""
 
 import contextlib
 import doctest
@@ -40,8 +39,10 @@ NEEDS = {
 
 
 def sections(page):
-    """(title, text) of each section: what follows a heading of the second level. The text before
-    the first one has the title ""."""
+    """(title, text) of each section: what follows a heading of the second level.
+
+    The text before the first one has the title "".
+    """
     before, *rest = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return [("", before), *(part.split("\n", 1) for part in rest)]
 
@@ -145,7 +146,7 @@ def test_links_lead_to_files_and_headings(page):
 
 
 def test_ci_runs_the_two_commands_of_the_readme():
-    """To the letter, so that a step that is missing in README shows there."""
+    """They are compared to the letter, so that a step that README misses shows here."""
     install = dict(sections(ROOT / "README.md"))["Install"]
     commands = [line for block in blocks(install, "sh") for line in block.splitlines()]
     assert len(commands) == 2
@@ -226,8 +227,10 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, ca
 
 
 def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):
-    """The figure of the theory: about the centre no error where the translation is a multiple of
-    the layer's stride."""
+    """The theory's figure has no error about the centre for some translations.
+
+    These are multiples of the layer's stride.
+    """
     pytest.importorskip("matplotlib")
     from experiments import figure_equivariance
 

@@ -1,5 +1,7 @@
-"""Type checkers find no fault in README's snippets, and a mistyped setting before it runs. Extra
-`dev`."""
+"""Type checkers find no fault in README's snippets, and a mistyped setting before it runs.
+
+Extra `dev`.
+"""
 
 import doctest
 import json

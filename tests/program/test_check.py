@@ -1,5 +1,7 @@
-"""`async-tnt check`: it proves that the stream equals the batch reference, and notices when it does
-not."""
+"""`async-tnt check` proves that the stream equals the batch reference.
+
+It also notices when the stream does not.
+"""
 
 import json
 from dataclasses import replace
@@ -162,8 +164,10 @@ def test_a_landmark_network_of_any_layers_holds(read):
 
 @pytest.mark.parametrize("start_us", [None, 5_000])
 def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
-    """Windows last 20 ms, and numbers 0, 2 and 5 hold events. Among the last events are late ones,
-    of the window before."""
+    """Windows last 20 ms, and numbers 0, 2 and 5 hold events.
+
+    Among the last events are late ones, of the window before.
+    """
     times = [np.linspace(20_000 * k, 20_000 * k + 19_000, 30).astype(int) for k in (0, 2, 5)]
     times[2][3:20:5] -= 60_000
     events = random_events(90, sensor=(20, 16))

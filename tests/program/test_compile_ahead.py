@@ -1,5 +1,7 @@
-"""When a stream opens, all that it calls has been compiled; a second process helps where it is
-asked for."""
+"""When a stream opens, all kernels that it calls have been compiled.
+
+A second process helps where it is asked for.
+"""
 
 import socket
 import subprocess
@@ -115,8 +117,10 @@ def test_nothing_is_compiled_after(case, pytestconfig):
 
 @pytest.fixture
 def cold(monkeypatch):
-    """A machine with two cores where nothing has been compiled yet; gives what is then compiled
-    here."""
+    """A machine with two cores where nothing has been compiled yet.
+
+    Gives the kernels that are then compiled in this process.
+    """
     here: list[str] = []
 
     def note(kernels):

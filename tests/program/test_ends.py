@@ -1,5 +1,8 @@
-"""How the program ends: at a signal, in one line with 128 and its number, and where its output
-cannot be written."""
+"""How the program ends.
+
+At a signal it prints one line, and its exit code is 128 and the signal's number. It also ends where
+its output cannot be written.
+"""
 
 import contextlib
 import os
@@ -111,7 +114,7 @@ def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):
 
 
 def test_an_ignored_signal_stays_ignored(tmp_path):
-    """As nohup ignores SIGHUP, and a shell's background job Ctrl-C."""
+    """nohup ignores SIGHUP, and a shell's background job ignores Ctrl-C."""
     signals = {"number": signal.SIGHUP, "ignored": signal.SIGHUP}
     code, printed, message = interrupted(tmp_path, "run", SAMPLE, point="numpy.linalg", **signals)
     assert code == 0 and message == "" and "3.bin: 3 " in printed
@@ -153,8 +156,10 @@ def test_a_command_that_a_signal_ends_says_which(received, program, monkeypatch)
 def test_a_signal_that_a_command_did_not_notice_is_its_exit_code(
     returned, line, program, monkeypatch
 ):
-    """As in a `__del__` while it writes its last file: the KeyboardInterrupt is dropped, and the
-    command goes on."""
+    """The signal comes in a `__del__`, while the command writes its last file.
+
+    Python drops the KeyboardInterrupt there, and the command goes on.
+    """
     from async_tnt.cli import run
 
     def go_on(args):

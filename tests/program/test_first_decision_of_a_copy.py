@@ -1,5 +1,4 @@
-"""A Processor that comes from a pickle, in a new process, has compiled what it calls before its
-first event."""
+"""A Processor from a pickle, in a new process, has compiled its kernels before its first event."""
 
 import pickle
 

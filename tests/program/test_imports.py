@@ -106,8 +106,10 @@ def test_type_checkers_see_the_same_names(package):
 
 
 def test_works_where_nothing_can_be_cached(tmp_path):
-    """Numba refuses cache=True where neither the package nor the user's cache folder can be
-    written."""
+    """Numba refuses cache=True where no cache folder can be written.
+
+    Neither the package's nor the user's folder can be written here.
+    """
     (tmp_path / "file").write_text("so that no folder can be made here")
     code = f"from async_tnt.streaming import entry_points\n{STORE_ONE}"
     assert (
@@ -116,8 +118,10 @@ def test_works_where_nothing_can_be_cached(tmp_path):
 
 
 def test_without_numbas_compiler_commands_and_imports_say_so_in_one_line():
-    """Plain Python cannot do what kernels do: read records at any address, and release the
-    GIL."""
+    """Plain Python cannot do what kernels do.
+
+    They read records at any address, and release the GIL.
+    """
     code = (
         "import async_tnt\n"
         "from async_tnt.cli import main\n"

@@ -63,8 +63,7 @@ def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):
 
 
 def test_what_is_hidden_does_not_count(program, tmp_path):
-    """This holds at every depth, for files, for folders, and for all that lies in hidden
-    folders."""
+    """This holds at every depth, for files, for folders, and for what lies in hidden folders."""
     for name in ("wave/a.npy", "wave/deep/b.npy"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         np.save(tmp_path / name, random_events(100))

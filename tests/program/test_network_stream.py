@@ -64,8 +64,10 @@ def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_p
 def test_packets_older_than_keep_up_milliseconds_are_skipped(
     keep_up_ms, n_skipped, program, monkeypatch
 ):
-    """Only the newest is not. Three packets wait for 30 ms, of a simulated clock, before the first
-    is read."""
+    """Only the newest packet is kept.
+
+    Three packets wait for 30 ms, of a simulated clock, before the first is read.
+    """
     now_us = [1_000_000]
     have_waited = threading.Event()
     clock = SimpleNamespace(monotonic_ns=lambda: 1_000 * now_us[0])

@@ -1,5 +1,7 @@
-"""One event off the sensor: every command that reads recordings leaves it out, says so, and goes
-on."""
+"""One event off the sensor is left out by every command that reads recordings.
+
+The command says so, and goes on.
+"""
 
 import json
 
@@ -12,8 +14,10 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 @pytest.fixture
 def stray(tmp_path):
-    """The path of a recording of a digit in a data set. It does not state its sensor, and one event
-    in its middle has row 33,014."""
+    """The path of a recording of a digit in a data set.
+
+    It does not state its sensor, and one event in its middle has row 33,014.
+    """
     events = open_recording(sample_recordings()[3]).read()
     middle = len(events) // 2
     strayed = np.insert(events, middle, events[middle])

@@ -1,5 +1,7 @@
-"""What is there already: files are replaced and keep their permissions, everything else stays as it
-is."""
+"""Outputs that are there already.
+
+Files are replaced and keep their permissions. Everything else stays as it is.
+"""
 
 import os
 import stat

@@ -1,5 +1,7 @@
-"""What is no regular file is refused wherever a file is read: a pipe without a writer would be
-waited for forever."""
+"""Where a file is read, anything but a regular file is refused.
+
+Otherwise a pipe without a writer would be waited for forever.
+"""
 
 import os
 import threading

@@ -1,5 +1,7 @@
-"""--roi, --crop, --mask and --sensor of run, evaluate and view: events are left out before anything
-else."""
+"""--roi, --crop, --mask and --sensor of run, evaluate and view.
+
+Events are left out before anything else happens to them.
+"""
 
 import json
 
@@ -33,8 +35,10 @@ def hot_mask(size, corner=(0, 0)):
 
 
 def with_hot_pixels(events, corner=(0, 0)):
-    """These events, and three pixels that fire 3,000 times each. The first event stays the
-    first."""
+    """These events, and three pixels that fire 3,000 times each.
+
+    The first event stays the first.
+    """
     extra = np.zeros(9000, events.dtype)
     extra["t"] = np.linspace(events["t"][0] + 1, events["t"][-1], len(extra)).astype(np.int64)
     extra["x"], extra["y"] = (np.array(HOT)[np.arange(len(extra)) % 3] + corner).T

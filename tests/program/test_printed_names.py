@@ -1,5 +1,7 @@
-"""Names of classes and files are data: whatever they contain, a command prints them on one line,
-without escapes."""
+"""Names of classes and files are data.
+
+Whatever they contain, a command prints them on one line, without escapes.
+"""
 
 import ast
 import os

@@ -37,7 +37,7 @@ def test_a_removed_name_says_what_to_write_instead(package, name, advice):
 
 @pytest.mark.parametrize(("package", "name", "advice"), REMOVED)
 def test_it_is_where_the_error_says(package, name, advice):
-    """Either in a module, or under another public name of the same package."""
+    """The name is in a module, or is another public name of the same package."""
     modules = re.findall(r"`(async_tnt\.[\w.]+)`", advice)
     names = re.findall(r"`(\w+)(?:\(.*?\)|\.\w+\(.*?\))?`", advice)
     assert modules or names

@@ -1,5 +1,7 @@
-"""--columns, --topic, --between-us and --strict: of every command that reads recordings, with the
-same meaning."""
+"""--columns, --topic, --between-us and --strict have one meaning in all commands.
+
+Every command that reads recordings has them.
+"""
 
 import json
 

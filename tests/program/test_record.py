@@ -88,7 +88,8 @@ def test_it_ends_after_the_seconds_and_never_replaces_anything(
     monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
     when_recorded(1, is_over.set)
     (tmp_path / "wave").mkdir()
-    for name in ("20261126_120000.dat.part", "20261126_120000_2.json"):  # of other programs
+    # These files are of other programs.
+    for name in ("20261126_120000.dat.part", "20261126_120000_2.json"):
         (tmp_path / "wave" / name).touch()
     for _ in range(2):
         is_over.clear()
@@ -115,8 +116,10 @@ def test_an_interrupted_recording_is_complete_up_to_then(program, tmp_path, when
 
 @pytest.fixture
 def recorded(program, tmp_path, monkeypatch):
-    """Record packets of a camera that is unplugged at the end; returns the exit code and the files,
-    in their order."""
+    """Record packets of a camera that is unplugged at the end.
+
+    Returns the exit code, and the files in their order.
+    """
 
     def run(*packets, device=None):
         device = device or PlayedDevice(*packets, OSError("no such device"), sensor=(64, 48))
@@ -176,7 +179,7 @@ def test_whenever_signals_come_each_packet_that_was_read_is_in_the_file(recorded
 
 
 def test_what_has_come_is_in_the_file_at_once(recorded, monkeypatch, tmp_path):
-    """If the program is killed, it stays."""
+    """The file keeps what has come, even if the program is killed."""
     seen = []
 
     def show(picture, events):
@@ -208,7 +211,7 @@ def test_without_its_description_a_recording_is_whole(program, tmp_path, monkeyp
 def test_where_no_line_can_be_printed_a_recording_and_its_description_are_whole(
     program, tmp_path, monkeypatch
 ):
-    """As in a terminal that has been closed; the second file begins after a pause."""
+    """The terminal has been closed, and the second file begins after a pause."""
 
     def fail(*lines):
         raise OSError(errno.EIO, "Input/output error")
@@ -335,8 +338,10 @@ def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(
 
 @pytest.mark.parametrize("n, room", [(100, 50_003), (5_000, 50_003), (100, 79_003)])
 def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, monkeypatch):
-    """Those of packets that wait in the file's buffer, and of one that is written in part; also
-    after Ctrl-C."""
+    """The events are in packets that wait in the file's buffer, and in one that is half written.
+
+    This also holds after Ctrl-C.
+    """
     packets = [made_events(*range(k * n, (k + 1) * n)) for k in range(10_000 // n)]
     device = PlayedDevice(*packets, KeyboardInterrupt(), sensor=(6_000, 34))
     monkeypatch.setattr(

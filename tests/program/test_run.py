@@ -64,7 +64,7 @@ def test_the_latency_is_a_column(program):
 
 
 def test_an_option_is_named_where_its_parameter_is_at_fault(program):
-    """Both a parameter of the stream and one of the decisions."""
+    """One is a parameter of the stream, another one a parameter of the decisions."""
     code, _, err = program("run", SAMPLES[7], "--start-us", -1)
     assert code == 2 and err.startswith("async-tnt: --start-us must be in [0, 2**62), got -1")
     code, _, err = program("run", SAMPLES[7], "--model", "digits-everywhere", "--confidence", 0.5)

@@ -1,5 +1,7 @@
-"""The package is built in layers, which the table in ARCHITECTURE.md lists: imports point down this
-table."""
+"""The package is built in layers, and imports point down.
+
+The table in ARCHITECTURE.md lists the layers.
+"""
 
 import ast
 import re
@@ -29,8 +31,10 @@ def layer_of(module):
 
 
 def imports_of(path, root=PACKAGE.parent):
-    """Names of all modules that a file imports, or imports names from, also inside its
-    functions."""
+    """Names of all modules that a file imports, or imports names from.
+
+    Imports inside of functions count, too.
+    """
     package = ".".join(path.relative_to(root).parent.parts)
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -93,7 +97,10 @@ def test_there_is_no_circle():
 
 
 def test_no_folders_import_each_other():
-    """Neither directly nor by way of others; a folder within another is one of its own."""
+    """Folders import each other neither directly nor by way of other folders.
+
+    A folder within another folder is a folder of its own.
+    """
     folder_of = {
         module: module.rpartition(".")[0]
         for module, path in SOURCES.items()

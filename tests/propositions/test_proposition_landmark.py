@@ -39,7 +39,7 @@ def shifted(events, a):
 
 @given(st.data())
 def test_proposition_3_in_the_stream_to_the_last_bit(data):
-    """With `running` and `line`, for whole pixels.
+    """The landmarks are `running` and `line`, and translations are by whole pixels.
 
     n x - S_x, of which all else is made, is the same integer for x + a. It is so on a grid of
     another size than the sensor's as well.

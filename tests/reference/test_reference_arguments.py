@@ -1,5 +1,7 @@
-"""Every bad argument is named with its rule; the reference shares no code with what it is compared
-with."""
+"""Every bad argument is named with its rule.
+
+The reference shares no code with what it is compared with.
+"""
 
 import re
 from pathlib import Path

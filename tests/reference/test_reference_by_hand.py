@@ -1,5 +1,7 @@
-"""Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both
-sides."""
+"""Volumes and landmarks that were computed with pencil and paper.
+
+A comparison of twins cannot see an error that both have.
+"""
 
 from itertools import product
 
@@ -57,8 +59,10 @@ def test_one_event(t, x, y, transform, expected):
     ("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"]
 )
 def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
-    """A pixel at the side of four is 1.5 from the centre; k microseconds before tau = 1 of T, it is
-    4.17e-10 k past the border."""
+    """A pixel at the side of four is 1.5 from the centre.
+
+    k microseconds before tau = 1 of T, it is 4.17e-10 k past the border.
+    """
     window_us = 3_600_000_000
     at = dict(
         start_us=0,
@@ -125,7 +129,10 @@ def test_events_outside_the_window_take_no_part():
 
 
 def test_windows_of_events_end_with_their_last_event_or_before_their_time_is_over():
-    """At most 20 us from a window's first event on: one exactly 20 us later begins the next."""
+    """A window lasts at most 20 us.
+
+    An event exactly 20 us after a window's first event begins the next window.
+    """
     times = [0, 5, 19, 20, 21, 40, 39, 41, 42, 43]
     for n, expected in (
         (9, [[0, 1, 2], [3, 4], [5, 7, 8, 9]]),  # 39 is older than its window
@@ -150,8 +157,11 @@ def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
 
 
 def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
-    """Cells have 10 x 5 pixels. The upper left one has ON events at (2, 1), twice, then at (4, 2),
-    and an OFF event at (4, 1)."""
+    """Cells have 10 x 5 pixels.
+
+    The upper left one has ON events at (2, 1), twice, then at (4, 2), and an OFF event at (4,
+    1).
+    """
     events = [(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]
     t, x, y, p = np.array(events).T
     at = dict(start_us=0, window_us=100, sensor=(20, 10), grid=(2, 2))
@@ -163,7 +173,7 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
     # (9, 4) is too far from these; (10, 4) is in the next cell
     torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))
     expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
-    expected[0, 2, 3, 0, 0] = 1 / 5  # and is found
+    expected[0, 2, 3, 0, 0] = 1 / 5  # an ON event finds the OFF event
     torch.testing.assert_close(
         hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2)
     )
@@ -172,8 +182,10 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
 
 
 def test_hats_reach_three_pixels_in_each_direction():
-    """An earlier event counts in the neighbourhood's own place, up to its rim and corners, and not
-    beyond."""
+    """An earlier event counts in the place of the neighbourhood where it lies.
+
+    This holds up to the rim and the corners of the neighbourhood, and not beyond.
+    """
     at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
     for z_x in range(-4, 5):
         for z_y in range(-4, 5):
@@ -186,8 +198,10 @@ def test_hats_reach_three_pixels_in_each_direction():
 
 
 def test_an_image_of_times_leaves_out_shares_below_a_billionth():
-    """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own
-    time."""
+    """The newest event lies a rounding error beside a pixel.
+
+    The pixel next to it keeps its own time.
+    """
     shared = dict(start_us=0, window_us=8, sensor=(3, 3), grid=(3, 3), polarity="unsigned")
     for share, newest in ((1e-12, 2 / 8), (1e-6, 4 / 8)):
         image = time_image(

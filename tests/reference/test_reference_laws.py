@@ -1,5 +1,6 @@
-"""What holds for every stream: sums, derivatives, finite values, and agreement with plain Python
-loops.
+"""What holds for every stream.
+
+These are sums, derivatives, finite values, and agreement with plain Python loops.
 
 The loops are written from the equations alone. Up to the volume's sums both do the same float64
 operations in the same order, so that those comparisons ask for equality. Landmark `line` is
@@ -86,8 +87,10 @@ def test_degenerate_input_gives_finite_values_and_gradients(name):
 
 @st.composite
 def windows(draw):
-    """A window's settings and up to 12 events: unsorted, repeated, at the ends, outside, far from
-    0."""
+    """A window's settings and up to 12 events.
+
+    Events are unsorted, repeated, at the ends, outside, or far from 0.
+    """
     window_us = draw(st.sampled_from([1, 2, 7, 800, 105_000]))
     start_us = draw(st.sampled_from([0, -5, 123, 1_700_000_000_123_457]))
     sensor = draw(st.tuples(st.integers(2, 12), st.integers(2, 12)))
@@ -121,8 +124,10 @@ def k(a):
 
 
 def volume_of(placed, bins, grid, polarity):
-    """The volume of events that are `placed`, (b, v, u, is_on) each: visits every cell for every
-    event."""
+    """The volume of events that are `placed`, (b, v, u, is_on) each.
+
+    It visits every cell for every event.
+    """
     volume = torch.zeros(
         2 * bins if polarity == "split" else bins, grid[1], grid[0], dtype=torch.float64
     )
@@ -136,8 +141,10 @@ def volume_of(placed, bins, grid, polarity):
 
 @given(windows(), st.sampled_from(LANDMARKS))
 def test_landmarks(window, name):
-    """Centroids to the last bit, as (S / n) (W - 1) / (Ws - 1) is written: the kernels do the same
-    operations."""
+    """Centroids are equal to the last bit, as (S / n) (W - 1) / (Ws - 1) is written.
+
+    The kernels do the same operations.
+    """
     (t, x, y, _), where = window
     start, length, sensor, grid = where.values()
     rows = landmark(name, t, x, y, **where)

@@ -22,8 +22,10 @@ def seeded():
 
 
 def test_classifier_by_hand():
-    """Grid 8 wide, 4 high. Both convolutions copy their channels, so pooling twice averages 4 x 4
-    blocks."""
+    """Grid 8 wide, 4 high.
+
+    Both convolutions copy their channels, so pooling twice averages 4 x 4 blocks.
+    """
     network = Classifier(channels=2, grid=(8, 4), n_classes=1, widths=(2, 2, 1))
     with torch.no_grad():
         for w in network.parameters():

@@ -1,5 +1,7 @@
-"""Path evidence, its gradient and the images against dense linear algebra over pixels, by the
-reference."""
+"""Path evidence, its gradient and the images equal those of the reference.
+
+The reference computes them by dense linear algebra over pixels.
+"""
 
 import numpy as np
 import pytest
@@ -47,8 +49,10 @@ def test_evidence_and_its_gradient(seed):
 
 
 def test_image_costs_least():
-    """Its cost is within a thousandth of the least that another method finds, of a slightly rounded
-    cost."""
+    """The image's cost is within a thousandth of the least cost that another method finds.
+
+    The other method uses a slightly rounded cost.
+    """
     frames, path = made(0, n=1)
     found = moving_image.find_images(MODEL, MODEL.spectra(frames), path[None])[0]
 

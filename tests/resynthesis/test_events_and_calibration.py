@@ -1,5 +1,7 @@
-"""Pixels are measured, contrast is calibrated, and events of other motions are what the picture
-would have given."""
+"""Pixels are measured, contrast is calibrated, and events of other motions are made.
+
+These events are what the picture would have given.
+"""
 
 import numpy as np
 import pytest
@@ -26,8 +28,11 @@ def windows_of(rng, pixels, n=24):
 
 @pytest.mark.parametrize("ratio", [0.7, 1.4])
 def test_pixels_are_measured(ratio):
-    """ON against OFF within 20 %, as refractory times hide more events of the lower threshold;
-    noise within 30 %; the refractory time is below the measured bound."""
+    """Measured pixels are near those that were simulated.
+
+    ON against OFF is within 20 %, as refractory times hide more events of the lower threshold.
+    Noise is within 30 %. The refractory time is below the measured bound.
+    """
     pixels = PixelModel(0.2 * ratio**0.5, 0.2 / ratio**0.5, 0.1, 800.0, 0.5, 0.8)
     measured = measure_pixels(windows_of(np.random.default_rng(0), pixels), SENSOR, WINDOW_US)
     assert measured.step_on / measured.step_off == pytest.approx(ratio, rel=0.2)
@@ -52,8 +57,7 @@ def test_after_pulses_by_hand():
 
 
 def test_simulated_pixels_are_like_the_measured_ones():
-    """Each number is; thresholds and refractory time vary about the measured ones from window to
-    window."""
+    """Thresholds and refractory time vary about the measured ones from window to window."""
     measured = MeasuredPixels(
         1.25, 0.8, refractory_us=900.0, noise_hz=0.7, noise_on_share=0.3, after_share=0.2
     )
@@ -72,8 +76,10 @@ def test_simulated_pixels_are_like_the_measured_ones():
 
 
 def test_numbers_of_windows_by_hand():
-    """Pixel (1, 1) at 0, 2 and 6 ms and pixel (5, 9) once; then pixel (1, 1) twice, 8 ms apart;
-    then nothing."""
+    """Pixel (1, 1) has events at 0, 2 and 6 ms, and pixel (5, 9) has one.
+
+    In the next window pixel (1, 1) has two events, 8 ms apart. The last window has none.
+    """
     first = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0)]
     second = [(0, 1, 1, 0), (8_000, 1, 1, 1)]
     windows = [np.array(rows, EVENT_DTYPE) for rows in (first, second, [])]
@@ -122,8 +128,10 @@ def centroid(events):
 
 
 def test_other_motions_have_their_polarity(calibrated):
-    """Dark objects: where they go, OFF events are first; so OFF minus ON centroids point along the
-    new motion."""
+    """Objects are dark, so OFF events come first where they go.
+
+    So OFF minus ON centroids point along the new motion.
+    """
     windows, reconstruction, calibration = calibrated
     agree = []
     for i, (_, image) in enumerate(reconstruction(windows[:12], calibration.pixels.measured)):
@@ -140,8 +148,10 @@ def test_other_motions_have_their_polarity(calibrated):
 
 
 def test_each_polarity_comes_at_its_own_threshold(calibrated):
-    """A quarter of the contrast for an ON event gives about four times as many of them for each OFF
-    event."""
+    """An ON event takes a quarter of the contrast of an OFF event.
+
+    So there are about four ON events for each OFF event.
+    """
     windows, reconstruction, calibration = calibrated
     images = [
         image
@@ -194,8 +204,10 @@ def test_random_motions_keep_to_their_ranges():
 
 @pytest.mark.parametrize("turn, growth", [(np.pi / 6, 0.0), (0.0, np.log(1.3)), (-0.4, -0.2)])
 def test_an_image_turns_and_grows_about_its_centre(turn, growth):
-    """The moments of a long spot: its centre only moves, its longer axis turns, and both axes
-    grow."""
+    """The moments of a long spot.
+
+    Its centre only moves, its longer axis turns, and both axes grow.
+    """
     model = Reconstruction((48, 48), WINDOW_US).model
     y, x = np.mgrid[: model.shape[0], : model.shape[1]]
     spot = np.exp(-(((x - 20) / 5) ** 2 + ((y - 25) / 3) ** 2) / 2)

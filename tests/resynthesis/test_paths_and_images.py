@@ -29,8 +29,10 @@ def n_paths(found):
 
 @pytest.mark.parametrize("profile", [lambda u: u, minimum_jerk, lambda u: np.clip(2 * u - 1, 0, 1)])
 def test_paths_and_images_are_found(reconstruction, profile):
-    """Net displacement within .8 pixels in the median; images correlate with what moved at .9 and
-    more."""
+    """The net displacement is within .8 pixels in the median.
+
+    The images' correlation with what moved is .9 or more.
+    """
     rng = np.random.default_rng(3)
     angle = rng.uniform(0, 2 * np.pi, 16)
     length = rng.uniform(4, 12, 16)
@@ -54,8 +56,11 @@ def test_paths_and_images_are_found(reconstruction, profile):
 
 
 def test_neighbours_tell_what_a_window_does_not():
-    """A third of a slow motion has too few events; with those of before and after, its own part of
-    the path is found, and its image where it is halfway through the window."""
+    """A third of a slow motion has too few events.
+
+    With the events before and after, its own part of the path is found, and its image where it
+    is halfway through the window.
+    """
     rng = np.random.default_rng(5)
     third = WINDOW_US // 3
     net = np.array([6.0, 0.0])
@@ -99,8 +104,10 @@ STEPS = np.stack([np.arange(1.0, N_FRAMES + 1), np.zeros(N_FRAMES)], 1)
 
 @pytest.mark.parametrize("span", [1, 3])
 def test_a_windows_part_of_a_path_begins_at_0(span):
-    """The middle one of three windows has a third of the way, and the first third lies before
-    it."""
+    """The middle one of three windows has a third of the way.
+
+    The first third lies before it.
+    """
     path = MotionPath(STEPS, span=span)
     at = path.at(np.array([0, 0.5, 1]))
     np.testing.assert_allclose(at, [(share * N_FRAMES / span, 0) for share in (0, 0.5, 1)])
@@ -131,15 +138,17 @@ def test_why_a_path_is_refused_by_hand(measured, reason):
 
 @pytest.mark.parametrize("kind", NOISE)
 def test_noise_has_no_path(reconstruction, kind):
-    """Neither few events have one, nor three for each pixel."""
+    """Few events have no path, and neither have three for each pixel."""
     rng = np.random.default_rng(2)
     windows = noise_windows(kind, 40, rng)
     assert n_paths(reconstruction(windows, PIXELS)) == 0
 
 
 def side_by_side(rng, net, other):
-    """Two objects on opposite sides of the middle, one of which moves by `net`, the other by
-    `other`."""
+    """Two objects on opposite sides of the middle.
+
+    One of them moves by `net`, the other one by `other`.
+    """
     angle = rng.uniform(0, np.pi)
     beside = 9 * np.array([np.cos(angle), np.sin(angle)])
     scenes = [blobs(rng, n=2, spread=3.0) for _ in range(2)]
@@ -153,8 +162,10 @@ def side_by_side(rng, net, other):
 
 
 def test_two_objects_that_move_oppositely_have_no_path(reconstruction):
-    """One would be explained with the opposite contrast. Two that move together have a path:
-    theirs."""
+    """One would be explained with the opposite contrast.
+
+    Two that move together have a path: theirs.
+    """
     rng = np.random.default_rng(3)
     angle = rng.uniform(0, 2 * np.pi, 40)
     length = rng.uniform(2, 6, 40)
@@ -171,8 +182,10 @@ def test_two_objects_that_move_oppositely_have_no_path(reconstruction):
 
 
 def test_few_events_are_enough(reconstruction):
-    """Three of ten, on the way out and on the way back: most paths are found, and lead the right
-    way."""
+    """Three of ten windows, on the way out and on the way back.
+
+    Most paths are found, and lead the right way.
+    """
     rng = np.random.default_rng(4)
     profiles = (lambda u: u, lambda u: np.sin(np.pi * u) ** 2)
     windows = []

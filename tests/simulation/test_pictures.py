@@ -50,7 +50,7 @@ def test_luminance_by_hand(tmp_path):
 
 
 def test_the_object_is_cut_out(tmp_path):
-    """On a plain ground or by its alpha channel: 12 x 4 pixels."""
+    """An object of 12 x 4 pixels is cut out on a plain ground, or by its alpha channel."""
     plain = read_picture(saved(tmp_path / "a.png", bar(ground=255, light=0)))
     assert plain.light.shape == (12, 4)
     assert plain.cover.shape == (12, 4)

@@ -148,7 +148,7 @@ def test_bandwidth_equals_reference():
 
 
 def test_a_dark_pixel_answers_later():
-    """After a step of 2.5 thresholds, its last event comes ten times as late.
+    """After a step of 2.5 thresholds, the last event of a dark pixel comes ten times as late.
 
     The bandwidth is 100 Hz in full light, and a tenth of it in the dark. Behind a low-pass a share
     s of the step is reached after ln(1 / (1 - s)) / (2 pi f). A level begins within a threshold of

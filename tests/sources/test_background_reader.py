@@ -1,5 +1,7 @@
-"""The queue of packets, and the reader that fills it in a thread: order, skipping and its accounts,
-the end."""
+"""The queue of packets, and the reader that fills it in a thread.
+
+The tests are about order, skipping and its counts, and the end.
+"""
 
 import asyncio
 import collections
@@ -34,8 +36,10 @@ def no_thread_is_left():
 
 
 class Source:
-    """Packets, with a note of how many were asked for; `gate` holds back the packets from number
-    `gate_at` on."""
+    """Packets, with a note of how many were asked for.
+
+    `gate` holds back the packets from number `gate_at` on.
+    """
 
     def __init__(self, packets=PACKETS, gate_at=None, error=None):
         self.packets = packets
@@ -138,8 +142,7 @@ def test_closing_from_another_thread_ends_the_loop_and_wakes_the_source(read):
 
 @in_both_ways
 def test_who_closes_a_reader_wants_no_error_any_more_and_wakes_the_source_once(read):
-    """Also where the source has failed before: closing twice, or after that, ends the loop without
-    a word."""
+    """To close twice, or after the source has failed, ends the loop without an error."""
     woken = []
     reader = BackgroundReader(
         Source(PACKETS[:2], error=OSError("gone")), on_close=lambda: woken.append(1)

@@ -1,5 +1,6 @@
-"""Both camera libraries with made devices: only the cable is played, packets are of the libraries'
-own classes.
+"""Both camera libraries with made devices.
+
+Only the cable is played. Packets are of the libraries' own classes.
 
 The compiled part of neuromorphic-drivers makes its packets itself and lets nobody else make them;
 its documented classes of the same names and fields stand for them, with arrays of the library's
@@ -31,8 +32,10 @@ EPOCH_US = 1_700_000_000_000_000  # dv-processing's times count from 1970
 
 
 class Neuromorphic:
-    """neuromorphic-drivers and its only camera, which sends these packets (None: nothing comes) and
-    is unplugged."""
+    """neuromorphic-drivers and its only camera.
+
+    The camera sends these packets (None: nothing comes) and is unplugged.
+    """
 
     kinds = NEUROMORPHIC_KINDS
     find = staticmethod(neuromorphic_cameras)
@@ -68,7 +71,7 @@ class Neuromorphic:
         return self._module.status.Status(time.time(), ring), self._packet_of(events)
 
     def _packet_of(self, events):
-        """As the library makes it: columns that have nothing are None."""
+        """A packet as the library makes it: columns that have nothing are None."""
         special = {
             "iniVation DAVIS 346": "Davis346Packet",
             "iniVation DVXplorer": "DvxplorerPacket",
@@ -88,8 +91,10 @@ class Neuromorphic:
 
 
 class Dv:
-    """dv-processing and its only camera, which sends these packets (None: nothing comes) and stops
-    running."""
+    """dv-processing and its only camera.
+
+    The camera sends these packets (None: nothing comes) and stops running.
+    """
 
     kinds = DV_KINDS
     find = staticmethod(dv_cameras)

@@ -1,5 +1,7 @@
-"""A played camera: which one a name opens, packets, counts, closing, cables; and `async-tnt run
-camera`."""
+"""A played camera, and `async-tnt run camera`.
+
+The tests are about names, packets, counts, closing and cables.
+"""
 
 import importlib.util
 import json
@@ -22,7 +24,7 @@ from async_tnt.sources import (
 from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
-# as neuromorphic-drivers has it
+# The record of an event in neuromorphic-drivers.
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
 
 
@@ -284,7 +286,10 @@ def test_events_whose_time_jumps_are_left_out():
 
 
 def test_events_off_the_sensor_are_left_out_and_counted_once():
-    """In x, in y, and with a time that jumps as well; a packet of nothing else does not come."""
+    """Events are off the sensor in x or in y, also with a time that jumps.
+
+    A packet of nothing else does not come.
+    """
     packets = [made_events(1, 2, 3, 1 << 63), made_events(4), made_events(5)]
     packets[0]["x"] = [0, 3, 2, 3]
     packets[1]["y"] = 4

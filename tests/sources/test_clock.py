@@ -1,5 +1,6 @@
-"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue. UDP
-applies it.
+"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue.
+
+UDP applies it.
 
 That cameras do, too, is in test_cameras.py.
 """
@@ -71,7 +72,7 @@ def test_the_bounds_by_hand(time, arrival_us, kept):
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("garbled", [21 * MINUTE_US, 2**62, 2**63 + 5])
 def test_one_garbled_time_costs_its_event_and_no_more(place, number, garbled):
-    """In the first packet, too, and whatever follows."""
+    """This also holds in the first packet, and whatever follows."""
     packets = [[MINUTE_US + 10 * k + i for i in range(3)] for k in range(3)]
     received = [list(times) for times in packets]
     received[number].insert(place, garbled)
@@ -212,7 +213,7 @@ def test_time_that_passed_before_the_previous_vote_is_no_reason_to_agree():
 
 
 def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
-    """In whole packets, and in those of which some events are dropped."""
+    """This holds in whole packets, and in packets of which some events are dropped."""
     packets = [[5], [2**62 - 1], [2**62], [0], [2**62, 7], [2**61, 2**62 - 1, 2**62], [-1, 3]]
     expected = [[5], [2**62 - 1], [], [0], [7], [2**61, 2**62 - 1], [3]]
     kept, (jumped, late, restarts) = by_clock(packets, max_jump_s=None, dtype=SIGNED)

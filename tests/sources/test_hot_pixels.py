@@ -1,5 +1,7 @@
-"""Hot pixels: all that were planted are found, and none where there are none; and `async-tnt
-mask`."""
+"""Hot pixels: all that were planted are found, and no others.
+
+The command is `async-tnt mask`.
+"""
 
 import json
 import os
@@ -38,8 +40,8 @@ BRIGHT = [(5, 5), (6, 5), (30, 30)]
 @pytest.mark.parametrize(
     ("packets", "pixels"),
     [
-        # in the dark corner of a recording 60 events are many; on the digit's edge they would be
-        # normal
+        # In the dark corner of a recording 60 events are many. On the digit's edge they would be
+        # normal.
         ([RECORDINGS[0], *planted([(0, 0), (33, 0), (33, 33)], 60)], [(0, 0), (33, 0), (33, 33)]),
         *(([random_events(20_000), *planted([at], 400)], [at]) for at in [(0, 0), (32, 1)]),
         ([random_events(5_000), *planted(FOUR, 500)], FOUR),
@@ -104,8 +106,10 @@ EVENTS = open_recording(SAMPLE).read()
 
 
 def with_hot_pixels(path, *pixels):
-    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its
-    sensor."""
+    """A file of the bundled 3 with hot pixels (x, y, events).
+
+    The file does not state its sensor.
+    """
     hot = [
         events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n)
         for x, y, n in pixels

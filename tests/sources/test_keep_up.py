@@ -1,5 +1,8 @@
-"""Events that outrun decisions: fewer decisions, then packets skipped and counted; delay bounded;
-time is simulated."""
+"""Events that outrun decisions.
+
+There are fewer decisions, then packets are skipped and counted. The delay is bounded. Time is
+simulated.
+"""
 
 import threading
 from types import SimpleNamespace
@@ -102,8 +105,10 @@ def test_decisions_become_rarer_before_packets_are_skipped(trigger, overload, cl
 
 
 def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
-    """In percent of the delay: rarer above 25, oftener below 5, else as it was; and so soon after a
-    change, neither."""
+    """The wait is in percent of the delay: above 25 decisions get rarer, below 5 more frequent.
+
+    Between both, and soon after a change, nothing changes.
+    """
     processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)
     reader = reader_of(processor, max_delay_us=100_000)
     steps = [
@@ -146,12 +151,12 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     assert reader.slowest == 128  # 100 are a window
     with reader:
         pass
-    assert processor.every_us == 1_000  # as it was
+    assert processor.every_us == 1_000  # it is as it was at first
 
 
 @pytest.mark.parametrize("kind", ["KeepUp", "PacketQueue"])
 def test_while_nobody_reads_no_more_waits_than_comes_within_the_delay(kind, clock, reader_of):
-    """As where nobody reads the program's output: it waits in a decision, and events come on."""
+    """If nobody reads the program's output, it waits in a decision, and events go on to come."""
     if kind == "KeepUp":
         reader = reader_of(Processor(CONFIG, classifier=lambda volume: [0.0]), max_delay_us=20_000)
     else:

@@ -47,7 +47,7 @@ def read_labels(path):
 READ = {
     **{suffix: open_recording for suffix in READERS},
     ".BIN": open_recording,
-    ".lfs": open_recording,  # of no format at all
+    ".lfs": open_recording,  # this is the suffix of no format
     ".safetensors": load_model,
     ".onnx": lambda path: load_model(path, config=CONFIG),
     ".Onnx": OnnxClassifier,

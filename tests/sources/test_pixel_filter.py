@@ -1,5 +1,7 @@
-"""The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values
-that can be sent."""
+"""The filter equals its NumPy twin and counts what it drops.
+
+Which pixels a model sees is a value that can be sent.
+"""
 
 import hashlib
 import pickle
@@ -148,8 +150,10 @@ def test_pixels_give_the_filter_of_a_camera():
 
 
 def test_about_names_all_that_decides_which_events_count():
-    """Results of evaluations contain it: those of earlier versions are continued only if it is the
-    same."""
+    """Results of evaluations contain this value.
+
+    Results of earlier versions are continued only if it is the same.
+    """
     mask = np.zeros((2, 3), bool)
     zeros = "b0f66adc83641586"  # sha256 of six zero bytes
     assert hashlib.sha256(bytes(6)).hexdigest().startswith(zeros)

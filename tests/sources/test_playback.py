@@ -64,8 +64,10 @@ def test_an_event_out_of_order_is_due_with_the_newest_before(clock, packets, pla
 
 
 def test_no_pause_is_too_long_for_the_system(clock):
-    """It refuses to sleep for three centuries; a speed may make more of any pause, even infinitely
-    much."""
+    """The system refuses to sleep for three centuries.
+
+    A speed may make any pause longer, even infinitely long.
+    """
     sleep = clock.sleep
 
     def sleep_if_possible(seconds):

@@ -1,5 +1,6 @@
-"""Which decisions fall when, by hand, for every trigger. For any stream:
-test_triggers_equal_oracle.py.
+"""Which decisions fall when, by hand, for every trigger.
+
+For any stream: test_triggers_equal_oracle.py.
 
 The classifier's two logits are the events' number and 0, so that after n events the first class has
 probability 1 / (1 + exp(-n)): .731, .881, .953, .982, .993 ...

@@ -121,7 +121,7 @@ def rest(processor):
     return decisions, processor.counts
 
 
-# of moments, where there are thousands
+# Where there are thousands of moments, only every so many are interrupted.
 STEPS = {"overlap": 11, "overlap, every_us": 11, "regressor": 7, "landmark window": 3}
 
 
@@ -130,7 +130,7 @@ def ends_alike(one, other):
     return one[len(one) - n :] == other[len(other) - n :]
 
 
-# which counts late events of the whole packet
+# "late drop" is left out: it counts the late events of the whole packet.
 @pytest.mark.parametrize("name", sorted(MAKERS.keys() - {"late drop"}))
 def test_an_interrupted_push_is_a_push_of_some_first_events(name):
     start = MAKERS[name]()

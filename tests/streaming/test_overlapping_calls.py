@@ -1,5 +1,7 @@
-"""Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a
-crash."""
+"""Two calls on one object at the same time, by mistake.
+
+They give a RuntimeError, never a wrong result or a crash.
+"""
 
 import copy
 import pickle
@@ -31,12 +33,12 @@ class Held:
         self.values = values
         self.shape = np.shape(values)
 
-    def numpy(self):  # of events
+    def numpy(self):  # packets of events are read by this
         self.begun.set()
         assert self.go_on.wait(PATIENCE_S)
         return self.values
 
-    def __array__(self, dtype=None, copy=None):  # of a volume
+    def __array__(self, dtype=None, copy=None):  # volumes are read by this
         return self.numpy()
 
 

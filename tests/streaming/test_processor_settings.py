@@ -146,8 +146,11 @@ def test_a_model_may_be_given_by_its_name_or_path(tmp_path):
     [(CONFIG, "every_us", CONFIG.window_us), (BY_3, "every_events", 3)],
 )
 def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, longest):
-    """When it is made or set; not where it is as often as windows end, nor when the same is set
-    again."""
+    """A trigger that is never due is warned of when it is made or set.
+
+    There is no warning if it is due as often as windows end, nor if the same value is set
+    again.
+    """
     message = (
         f"`{name}` = {longest + 1} is .* a window.*, {longest}.*: it never makes a decision due"
     )
@@ -161,7 +164,7 @@ def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, 
         setattr(processor, name, longest + 1)
     assert len(caught) == 1 and caught[0].filename == __file__
     other = {"every_us": "every_events", "every_events": "every_us"}[name]
-    # which concerns the other kind of windows
+    # The other setting concerns the other kind of windows, so there is no warning.
     Processor(config, classifier=total_and_size, **{other: 10**9})
     copy.copy(processor).push(at([5]))
 

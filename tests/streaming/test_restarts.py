@@ -161,8 +161,10 @@ def test_windows_shorter_than_the_limit_are_the_limit():
     "settings", [{"start_us": 10**9}, {"confidence": 0.1}, {"hop_us": 30}], ids=str
 )
 def test_a_late_start_and_windows_decided_early_are_no_restart(settings):
-    """Events before `start_us`, or of a window that has been decided, are dropped without a
-    warning."""
+    """Late events are dropped without a warning in two cases.
+
+    They lie before `start_us`, or in a window that has been decided.
+    """
     processor = Processor(CONFIG, classifier=total_and_size, on_restart="raise", **settings)
     events = random_events(3_000, start_us=1_000, duration_us=500_000)
     events["t"] += np.random.default_rng(0).integers(-40, 41, len(events))

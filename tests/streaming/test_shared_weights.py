@@ -1,5 +1,7 @@
-"""A model's weights are in memory once, however many processors there are; a state may be kept
-without them."""
+"""A model's weights are in memory once, however many processors there are.
+
+A state may be kept without them.
+"""
 
 import copy
 import pickle

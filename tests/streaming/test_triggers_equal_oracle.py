@@ -84,7 +84,10 @@ def pair(config: TNTConfig, way: str, **settings) -> tuple[Oracle, Processor]:
 
 
 def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected: list) -> None:
-    """At the end of the stream; without decisions that the last bit of exp made."""
+    """Check that processor and oracle agree at the end of the stream.
+
+    Decisions that depend on the last bit of exp are left out.
+    """
     expected += oracle.finish()
     if oracle.close_calls:
         reject()
@@ -167,7 +170,10 @@ ALL |= {name: (way, None) for name, way in OF_EVENTS.items()}
 
 @pytest.mark.parametrize(("way", "hop_us"), ALL.values(), ids=ALL)
 def test_every_combination_of_triggers_on_a_stream_with_stragglers(way, hop_us):
-    """In one packet, decided in one compiled call where that is possible, and in small ones."""
+    """The stream comes in one packet, and in small ones.
+
+    Where possible, one packet is decided in one compiled call.
+    """
     dropped = np.zeros(2, int)
     for seed, (every_us, every_events, confidence) in enumerate(
         itertools.product(MOMENTS, EACH_SO_MANY, LEVELS)

@@ -38,14 +38,16 @@ def trained(gestures, tmp_path_factory):
 
 @pytest.fixture
 def few_steps(monkeypatch):
-    """For what needs a model that has learned nothing: two steps an epoch instead of fifty."""
+    """A fixture for tests whose model need not learn: two steps an epoch instead of fifty."""
     monkeypatch.setattr("async_tnt.training.settings.STEPS_AN_EPOCH", 2)
 
 
 @pytest.fixture
 def train(program, tmp_path, few_steps):
-    """Train on a set for one short epoch, by the program; returns exit code, stderr and the model's
-    file."""
+    """Train on a set for one short epoch, by the program.
+
+    Returns exit code, stderr and the model's file.
+    """
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
     def run(dataset, *words):

@@ -1,5 +1,7 @@
-"""The bundled models of digits: right on every bundled sample, and as accurate as their records
-say."""
+"""The bundled models of digits are right on every bundled sample.
+
+They are as accurate as their records say.
+"""
 
 import pytest
 
@@ -31,7 +33,7 @@ def test_the_record_of_digits_has_its_data_accuracy_and_command():
     assert {"data", "command", "seed", "epochs", "versions", "validation", "test", "tried"} <= set(
         record
     )
-    # not the official split: stated where the numbers are
+    # The note beside the numbers says that the split is not the official one.
     assert "official" in record["data"]["note"]
     assert record["test"]["per_window"] >= 0.97 and record["test"]["per_recording"] >= 0.985
 
@@ -72,7 +74,7 @@ def test_accuracy_on_real_recordings(model, first_event, real_recordings):
 
 
 def test_digits_on_a_large_sensor(data):
-    """By the experiment's own scenes of real test recordings."""
+    """The scenes are the experiment's own, of real test recordings."""
     files = sorted((data / "nmnist" / "Test").glob("*/*.bin"))
     model = load_model("digits-everywhere")
     assert model.record["data"]["pictures"]["pictures"] == everywhere.N_PICTURES

@@ -1,5 +1,4 @@
-"""A trained model's probabilities: what they say on held-out windows, and where nothing is
-there."""
+"""A trained model's probabilities, on held-out windows and where nothing is there."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -79,8 +78,10 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
 
 
 def test_what_shows_nothing_is_counted_in_no_class(tmp_path):
-    """With all windows scattered, the loss is that of an answer which says nothing, and no accuracy
-    is claimed."""
+    """With all windows scattered, the loss is that of an answer which says nothing.
+
+    No accuracy is then claimed.
+    """
     settings = TrainSettings(
         epochs=2, batch=16, augmentation=Augmentation(nothing=1.0), label_smoothing=0.0
     )
@@ -103,8 +104,8 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
     assert found.sure_of_nothing["scattered"] > softer.sure_of_nothing["scattered"]
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
-    assert fit_temperature(softened(truth, 9), labels) == pytest.approx(1 / 5)  # and no less
-    # nor more
+    # A temperature is at least 1/5, and at most 5.
+    assert fit_temperature(softened(truth, 9), labels) == pytest.approx(1 / 5)
     assert fit_temperature(np.array([[1.0, 0.0]] * 9), np.ones(9, int)) == pytest.approx(5)
 
 
@@ -124,7 +125,7 @@ def test_a_calibrated_model_decides_the_same(models):
 
 
 def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
-    """On what was held out, after the calibration, which changes it."""
+    """The record is of the held-out windows after the calibration, which changes the model."""
     validation = shapes(40, 1)
     data = TrainingData(CONFIG, CLASSES, shapes(60, 0), validation)
     settings = TrainSettings(epochs=1, batch=16, augmentation=Augmentation(nothing=0.0))

@@ -1,5 +1,7 @@
-"""A training ends early where nothing that is held out can improve: by hand, and in the loop,
-interrupted or not."""
+"""A training ends early where nothing that is held out can improve.
+
+This is checked by hand, and in the loop, interrupted or not.
+"""
 
 from dataclasses import replace
 

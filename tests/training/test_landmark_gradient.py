@@ -1,5 +1,7 @@
-"""The landmark regressor learns through the kernels' volumes: their gradient is the reference's,
-and reaches it."""
+"""The landmark regressor learns through the kernels' volumes.
+
+Their gradient is the reference's, and reaches the regressor.
+"""
 
 import numpy as np
 import pytest
@@ -86,8 +88,10 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
 
 
 def test_the_loss_reaches_every_layer_and_the_exported_pipeline_equals_the_references():
-    """Scales absorbed, through a model and back: the logits are those of the torch pipeline on the
-    events."""
+    """Scales are folded into the weights of a model, which becomes a pipeline again.
+
+    The logits are those of the torch pipeline on the events.
+    """
     windows = windows_of(CONFIG)
     pipeline = new_pipeline(CONFIG, 3, 0, windows)
     # the first landmark is the centre

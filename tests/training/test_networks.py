@@ -1,5 +1,7 @@
-"""The networks that can be trained, or one's own: what training ends with computes, compiled, what
-torch computed."""
+"""The networks that can be trained, or one's own.
+
+After training, the compiled network computes what torch computed.
+"""
 
 import json
 import os
@@ -74,8 +76,10 @@ def windows():
 
 @pytest.mark.parametrize("name", [*NETWORKS, "linear", "normed"])
 def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_path):
-    """Batch norms and input scale folded; and so does the pipeline that continues from the
-    model."""
+    """Batch norms and the input scale are folded.
+
+    The pipeline that continues from the model computes the same.
+    """
     config = CONFIG.replace(transform="none") if name == "map" else CONFIG
     pipeline = new_pipeline(config, 3, 0, windows, name if name in NETWORKS else f"{own}:{name}")
     optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)

@@ -1,5 +1,7 @@
-"""Class folders -> recordings of one sensor: what they state, what is left out, and what is an
-error."""
+"""Recordings of one sensor from class folders.
+
+The tests say what the folders state, what is left out, and what is an error.
+"""
 
 import re
 import shutil
@@ -26,7 +28,7 @@ def write_64(folder, counts, **settings):
 
 
 def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path):
-    """Also those that were read before the first one that states it."""
+    """This holds also for those that were read before the first one that states it."""
     write_64(tmp_path, {"upright": 3, "flat": 3}, suffixes=(".npy", ".csv", ".npz"))
     write(tmp_path / "flat" / "large.csv", events_of([5, 9, 9], [3, 64, 65], [1, 2, 2], [1, 1, 1]))
     for pixels in (EVERYTHING, Pixels(sensor=SIZE)):
@@ -98,7 +100,10 @@ def test_windows_counts_and_the_held_out(tmp_path):
 
 
 def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
-    """With a window between, in time order also where a session is cut into parts."""
+    """One window lies between both sides.
+
+    The order is that of time, also where a session is cut into parts.
+    """
     for k in range(4):
         write(tmp_path / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000))
     write(tmp_path / "flat" / "only.npz", bar("flat", 0, n=4_000, duration_us=2_000_000))
@@ -127,7 +132,7 @@ def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
 
 @pytest.mark.parametrize(("events_a_pixel", "volume"), [(2, ("count", 1)), (3, ("volume", 5))])
 def test_where_pixels_fire_often_the_default_volume_has_time_bins(tmp_path, events_a_pixel, volume):
-    """In the same polarity and window: neither the other sign nor the next window adds to it."""
+    """Only events of one polarity in one window count as often."""
     n = 40 * events_a_pixel
     x = np.tile(np.arange(40), 3 * events_a_pixel)
     is_on = np.repeat([True, False, True], n)
@@ -153,8 +158,10 @@ def recording(times_us, pixels=None):
 
 
 def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event(tmp_path):
-    """Events older than their recording's first one are late; the others are sorted. In files or in
-    memory."""
+    """Events older than their recording's first one are late; the others are sorted.
+
+    In files or in memory.
+    """
     folder = tmp_path / "set"
     store = tmp_path / "store"
     store.mkdir()
@@ -240,7 +247,7 @@ def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):
 
 
 def test_who_was_seen_in_training_is_not_held_out(tmp_path):
-    """By a pattern; by recording where nothing is known."""
+    """Groups are found by a pattern. Where nothing is known, each recording is a group."""
     files = [f"{kind}/{'abcde'[k % 5]}{k}.npz" for kind in ("upright", "flat") for k in range(10)]
     for k, name in enumerate(files):
         write(tmp_path / name, bar("flat", k, n=50))

@@ -62,8 +62,10 @@ def no_noise(monkeypatch):
 
 @pytest.mark.parametrize("grid", [(20, 16), (10, 8)])
 def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(grid, no_noise):
-    """By the reference: each recording moved to its place, events beyond the border left out, in
-    whole cells."""
+    """The reference computes it from recordings that are moved to their places by whole cells.
+
+    Events beyond the border are left out.
+    """
     config = CONFIG.replace(grid=grid)
     maker = SceneMaker(config)
     assert (maker.config.sensor, maker.config.grid) == ((60, 48), (3 * grid[0], 3 * grid[1]))
@@ -135,7 +137,7 @@ def test_volumes_that_are_no_sums_are_refused():
 
 
 def test_a_network_that_computes_no_numbers_finds_nothing():
-    """Not what an earlier map has left."""
+    """It does not find what an earlier map has left."""
     net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
     _, windows = recordings(30)
     scores = SceneScores(
@@ -150,8 +152,10 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
 
 
 def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
-    """Though it is further away than `REACH` of the recording's shorter side, 2.4 pixels: places
-    are 16 apart."""
+    """The nearest place is further away than `REACH` of the shorter side, 2.4 pixels.
+
+    Places are 16 pixels apart.
+    """
     coarse = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 16, 16))
     monkeypatch.setattr(objectives, "build_network", lambda *_: coarse)
     _, windows = recordings(1)

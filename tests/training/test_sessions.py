@@ -1,5 +1,7 @@
-"""Sessions: long recordings, and tables of which part shows which class. They are cut as if each
-part were a file."""
+"""Sessions: long recordings, and tables of which part shows which class.
+
+They are cut as if each part were a file.
+"""
 
 import json
 
@@ -75,7 +77,7 @@ def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
 
 
 def test_what_is_learned_ends_before_what_is_held_out_in_time(tmp_path):
-    """Also where the parts of a session overlap."""
+    """This also holds where the parts of a session overlap."""
     t = np.arange(0, 2_000_000, 100)
     write(tmp_path / "s.npz", events_of(t, t // 100 % 128, t // 777 % 128, [1] * len(t)))
     rows = [f"{'ab'[k % 2]},{45_000 * k},{45_000 * k + 500_000}\n" for k in range(30)]
@@ -113,8 +115,10 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
 
 
 def test_the_files_of_dvs128_gesture(tmp_path):
-    """AEDAT 3.1, numbers with names in a table of their own, and lists of the sessions to train and
-    to test on."""
+    """The data set has AEDAT 3.1, and class numbers with names in a table of their own.
+
+    Lists say which sessions are to train and to test on.
+    """
     for seed, name in enumerate(("user01_lab", "user02_lab")):
         numbers = {"flat": 2, "upright": 10}
         write_session(
@@ -147,7 +151,7 @@ def test_the_files_of_dvs128_gesture(tmp_path):
 
 
 def test_tables_and_lists_may_begin_with_a_byte_order_mark(sessions):
-    """As spreadsheets write it."""
+    """Spreadsheets write such a mark."""
     (sessions / "gesture_mapping.csv").write_text("action,label\nlying,flat\nstanding,upright\n")
     (sessions / "trials_to_train.txt").write_text("user01_lab.npz\nuser02_led.npz\n")
     (sessions / "trials_to_test.txt").write_text("user02_lab.npz\n")
@@ -255,7 +259,7 @@ def test_tables_that_cannot_be_read_are_named(tmp_path):
 
 
 def test_times_that_the_file_does_not_have_are_answered_with_those_it_has(sessions):
-    """As from a table in another unit, or from another origin."""
+    """Such times come from a table in another unit, or with another origin."""
     table = sessions / "user02_led_labels.csv"
     table.write_text(HEADER + "upright,20,80\n")
     data = dataset_data(sessions, TNTConfig(), split=Split(0.3))
@@ -266,7 +270,7 @@ def test_times_that_the_file_does_not_have_are_answered_with_those_it_has(sessio
 
 @pytest.mark.parametrize("suffix", sorted(READERS))
 def test_a_folder_holds_recordings_of_every_format_with_its_suffix_in_any_case(tmp_path, suffix):
-    """In class folders, as sessions, and anywhere below a folder."""
+    """They lie in class folders, as sessions, and anywhere below a folder."""
     name = f"a{suffix.upper()}"
     (tmp_path / "classes" / "wave").mkdir(parents=True)
     (tmp_path / "classes" / "wave" / name).touch()

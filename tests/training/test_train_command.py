@@ -165,7 +165,7 @@ REFUSED = [
     [*((*row, True) for row in REFUSED_EARLY), *((*row, False) for row in REFUSED)],
 )
 def test_errors_are_one_line(words, message, is_early, program, tmp_path, monkeypatch):
-    """Those of options come before the recordings are read."""
+    """The errors of options come before the recordings are read."""
     monkeypatch.chdir(tmp_path)
     if is_early:
         monkeypatch.setattr(

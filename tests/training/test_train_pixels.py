@@ -23,9 +23,11 @@ def mask_of(size, pixels):
 
 
 def recorded(seed):
-    """A bar at 64x64, and with two pixels that fire all the time. The file begins with one of their
-    late events: dropping what is older than the first event before the hot pixels are removed would
-    drop half of the bar."""
+    """A bar at 64x64, and with two pixels that fire all the time.
+
+    The file begins with one of their late events: dropping what is older than the first event
+    before the hot pixels are removed would drop half of the bar.
+    """
     events = bar("upright" if seed % 2 else "flat", seed, side=64, n=600, start_us=5_000)
     events = events[~mask_of(SIZE, HOT)[events["y"], events["x"]]]
     t = np.linspace(1_000, 120_000, 900).astype(int)
@@ -35,8 +37,11 @@ def recorded(seed):
 
 
 def write_sets(folder):
-    """The same recordings without hot pixels, with them, and with them on a larger camera, parts of
-    which move, too."""
+    """The same recordings three times.
+
+    They are without hot pixels, with them, and with them on a larger camera, parts of which
+    move, too.
+    """
     for k in range(20):
         events, hot = recorded(k)
         large = hot.copy()

@@ -188,8 +188,10 @@ def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_p
 
 @pytest.mark.parametrize("landmark", ["running", "regressor"])
 def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
-    """Bit for bit. 72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the
-    next."""
+    """Both are equal bit for bit.
+
+    72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the next.
+    """
     config = CONFIG.replace(landmark=landmark)
     settings = TrainSettings(epochs=50, iterations=8, batch=32, seed=5)
     whole = train(config, windows, windows[:6], settings, tmp_path / "whole")
@@ -346,7 +348,10 @@ def test_rates_decay_and_averages_are_those_of_their_equations(windows, tmp_path
 
 
 def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
-    """With all windows in each batch they are m (1 - .9^k) after k steps, m that of the batch."""
+    """With all windows in each batch, the average after k steps is m (1 - .9^k).
+
+    Here m is the statistic of the batch.
+    """
     (tmp_path / "dead.py").write_text(DEAD)
     network = f"{tmp_path / 'dead.py'}:normed"
     settings = TrainSettings(epochs=5, batch=len(windows), augmentation=None, network=network)
@@ -367,7 +372,10 @@ def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.2])
 def test_loss_and_accuracy_of_an_epoch_are_means_over_its_windows(smoothing, windows, tmp_path):
-    """Also where its last batch is smaller. The same logits for all: only the class counts."""
+    """This also holds where the last batch of the epoch is smaller.
+
+    The logits are the same for all windows, so only the classes count.
+    """
     (tmp_path / "dead.py").write_text(DEAD)
     labels = np.array([0] * 18 + [1] * 6)
     uneven = replace(windows, recordings=replace(windows.recordings, labels=labels))
@@ -403,7 +411,7 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
 
 @pytest.mark.parametrize("column", ["t", "x", "y", "p", "labels", "recording", "start_us"])
 def test_whatever_differs_in_the_data_is_another_run(column, windows, trained):
-    """In one number."""
+    """The data differ in one number."""
     columns = {name: getattr(windows, name).copy() for name in ("recording", "start_us")}
     of_recordings = {
         name: getattr(windows.recordings, name).copy() for name in ("t", "x", "y", "p", "labels")
@@ -445,8 +453,10 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
 
 
 def test_the_fewer_windows_the_more_epochs():
-    """4,000 steps, 20 epochs at least; an epoch of few windows shows them often enough for
-    fifty."""
+    """A training has 4,000 steps, or 20 epochs if these are more steps.
+
+    An epoch of few windows shows them several times, so that it has fifty steps.
+    """
     assert [settings_for(CONFIG, n).epochs for n in (100_000, 1_000, 9)] == [20, 122, 80]
     assert [settings_for(CONFIG, n).passes for n in (100_000, 1_000, 9)] == [1, 1, 44]
     assert settings_for(CONFIG, 9, epochs=3).epochs == 3
@@ -487,7 +497,7 @@ class Teacher:
 
 
 def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows):
-    """As it was trained, though its student's events may lie between pixels."""
+    """The teacher was trained so. Its student's events may lie between pixels."""
     images = TNTConfig(
         sensor=CONFIG.sensor, window_us=CONFIG.window_us, representation="count_time"
     )
@@ -504,8 +514,10 @@ def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows)
 
 
 def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained, tmp_path):
-    """Where nothing is shown, the target stays; a run with a teacher is another run than
-    without."""
+    """Where nothing is shown, the target stays.
+
+    A run with a teacher is another run than one without.
+    """
     draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
     draws.nothing[:] = 0, 1, 0, 2
     some = windows[
@@ -533,8 +545,10 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
 
 
 def test_the_model_has_the_average_of_the_weights_of_all_steps(windows, tmp_path):
-    """w <- a w + (1 - a) w', also of a batch norm's statistics, and the same after an
-    interruption."""
+    """The average is w <- a w + (1 - a) w', also of a batch norm's statistics.
+
+    It is the same after an interruption.
+    """
     settings = replace(ONE_EPOCH, averaging=0.9, epochs=2, network="conv4")
     whole = train(CONFIG, windows, windows[:0], settings, tmp_path / "whole").model
     last = train(

@@ -29,8 +29,10 @@ SETTINGS = MotionSettings(variations=2)
 
 
 def windows_of(seed, n):
-    """Two windows of each recording, moving right in the first and down in the second; the last
-    holds noise only."""
+    """Two windows of each recording, moving right in the first one and down in the second.
+
+    The last recording holds noise only.
+    """
     rng = np.random.default_rng(seed)
     events = []
     for k in range(n + 1):
@@ -52,7 +54,7 @@ def windows():
 
 @pytest.fixture(scope="module")
 def made(windows, tmp_path_factory):
-    """In files of five windows."""
+    """Motions that were made in files of five windows."""
     folder = tmp_path_factory.mktemp("motions")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("async_tnt.training.resynthesis.MOST_WINDOWS", 5)
@@ -61,8 +63,10 @@ def made(windows, tmp_path_factory):
 
 
 def test_a_damaged_description_of_the_motions_is_named(windows, made, tmp_path):
-    """Whatever is in it: a value of another type, or one that nobody writes. What is read can be
-    used."""
+    """Whatever is in it: a value of another type, or one that nobody writes.
+
+    What is read can be used.
+    """
     folder = tmp_path / "motions"
     shutil.copytree(made[1], folder)
     manifest = folder / "motions.json"
@@ -104,8 +108,7 @@ def test_every_window_but_noise_has_other_motions(windows, made):
 
 
 def test_only_windows_of_the_set_are_neighbours(windows):
-    """What stands beside a window but is not trained on, or is held out, tells nothing of its
-    motion."""
+    """A neighbour that is not trained on, or is held out, tells nothing of a window's motion."""
     every = windows[0]
     first = np.flatnonzero(every.start_us == 0)[:4]
     second = np.flatnonzero(every.start_us == WINDOW_US)[:4]
@@ -133,8 +136,10 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(
 
 
 def test_what_an_epoch_shows(windows, made):
-    """A window or its variation, a quarter as recorded; those without a path always as recorded;
-    epochs take turns."""
+    """An epoch shows a window or its variation, and a quarter as recorded.
+
+    Windows without a path are always shown as recorded. Epochs take turns.
+    """
     motions, folder = made
     order = np.random.default_rng(0).permutation(np.repeat(np.arange(14), 200))
     for epoch, variation in ((0, 0), (1, 1), (2, 0)):

@@ -1,5 +1,7 @@
-"""Class folders of pictures: recorded by simulated cameras, split, mixed with recordings, kept and
-refused."""
+"""Class folders of pictures.
+
+Simulated cameras record them. They are split, mixed with recordings, kept and refused.
+"""
 
 import json
 import os
@@ -132,8 +134,10 @@ def test_pictures_and_recordings_mix(tmp_path):
 
 
 def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
-    """Any number of processes gives the same; what is there is not made again; other settings are
-    refused."""
+    """Any number of processes gives the same recordings.
+
+    What is there is not made again, and other settings are refused.
+    """
     folder = write_pictures(tmp_path / "p")
     pictures = [
         LabelledPicture(path, k)
@@ -266,8 +270,10 @@ def test_a_camera_is_measured(tmp_path):
 
 
 def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
-    """The whole command: its model tells bars from discs that it was not shown; the record says
-    what it is from."""
+    """The model of the whole command tells bars from discs that it was not shown.
+
+    Its record says what it is from.
+    """
     write_pictures(tmp_path / "p", n=8)
     asked = []
     monkeypatch.setattr(

@@ -1,5 +1,7 @@
-"""Volumes of a batch of windows are those of `TNTVolume`, and augmentation changes them as
-stated."""
+"""Volumes of a batch of windows are those of `TNTVolume`.
+
+Augmentation changes them as stated.
+"""
 
 import numpy as np
 import pytest
@@ -85,8 +87,10 @@ def test_windows_of_events_are_refused():
 
 
 def test_an_event_at_a_windows_end_belongs_to_the_next():
-    """It has no weight in the volume itself, but it would move the centroid that all others are
-    normalized about."""
+    """The event has no weight in the volume itself.
+
+    But it would move the centroid that all other events are normalized about.
+    """
     config = TNTConfig(landmark="window", t_max=2.0)
     events = events_of(
         [0, 60_000, 90_000, 105_000, 120_000],
@@ -128,8 +132,10 @@ def test_a_moved_start_takes_in_the_neighbouring_windows_events():
     ids=str,
 )
 def test_the_largest_changes_by_hand(changes, place):
-    """An event at (20, 10), that is (3.5, -6.5) from the middle of its recording's events, (16.5,
-    16.5)."""
+    """An event at (20, 10) is augmented.
+
+    It is at (3.5, -6.5) from the middle of its recording's events, (16.5, 16.5).
+    """
 
     class Largest:
         """Draws the upper end of every range."""
@@ -227,7 +233,7 @@ def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds
 
 @pytest.mark.parametrize("kind", [ONE_POLARITY, HOT_PIXELS, PATCH, EDGE])
 def test_what_stands_in_the_place_of_a_recording(kind):
-    """As many events as before, or fewer where an edge leaves the sensor, as its name says."""
+    """It has as many events as before, or fewer where an edge leaves the sensor."""
     config = TNTConfig(transform="none", polarity="split", bins=2, sensor=(50, 40), grid=(50, 40))
     windows = random_windows(config, 1, 30_000)[np.zeros(40, int)]
     n_events = BatchVolumes(config)(windows).sum() / 40

@@ -1,5 +1,7 @@
-"""The place of each event in the figures: the reference's, and those that the streamed volume is
-made of."""
+"""The place of each event in the figures.
+
+It is the reference's, and the one that the streamed volume is made of.
+"""
 
 import numpy as np
 import pytest

@@ -32,8 +32,11 @@ def text_of(svg):
 
 
 def test_a_page_as_png_and_svg(plot):
-    """The picture of README is what the command draws, up to the dots that one matplotlib puts
-    elsewhere than the next. When this fails: draw it again."""
+    """The picture of README is what the command draws.
+
+    Dots that one matplotlib puts elsewhere than the next are not compared. When this fails:
+    draw it again.
+    """
     import matplotlib
 
     settings = dict(matplotlib.rcParams)

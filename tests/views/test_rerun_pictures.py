@@ -1,5 +1,7 @@
-"""What a view draws, without a viewer: images of events and of volumes, colours of classes,
-moments, text."""
+"""What a view draws, without a viewer.
+
+These are images of events and of volumes, colours of classes, moments and text.
+"""
 
 import numpy as np
 from hypothesis import given

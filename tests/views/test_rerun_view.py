@@ -32,8 +32,10 @@ def view_of(folder, packets, model=MODEL, **settings):
 
 
 def truth_at(model, events, at_us, **settings):
-    """A processor that saw the events before a moment, its decision, and the raw volume of its
-    window."""
+    """A processor that saw the events before a moment, and what it has then.
+
+    This is its decision, and the raw volume of its window.
+    """
     processor = Processor(model, **settings)
     before = events[np.maximum.accumulate(events["t"]) < at_us]
     processor.push(before)

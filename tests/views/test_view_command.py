@@ -71,7 +71,7 @@ def test_a_recording_becomes_a_file(tmp_path, program, monkeypatch):
 
 
 def test_windows_begin_at_the_start_that_is_given(tmp_path, program):
-    """At the recording's first event, or where events before it are left out."""
+    """They begin at the recording's first event, or where events before it are left out."""
     first_us = int(EVENTS["t"][0])
     starts = {}
     for start_us in (None, first_us + 100_000):
@@ -184,8 +184,10 @@ def is_open(port):
 
 @contextlib.contextmanager
 def viewer_that_writes(out):
-    """In place of a window it writes what it receives. Yields the process, which leads a group, and
-    its URL."""
+    """A viewer that has no window, and writes what it receives.
+
+    Yields the process, which leads a group, and its URL.
+    """
     rerun = rerun_program()
     if rerun is None:
         pytest.skip("no program `rerun` beside this Python")

@@ -1,5 +1,6 @@
-"""Columns that another thread changes while they are used: any numbers may come out, but no memory
-is damaged.
+"""Columns that another thread changes while they are used.
+
+Any numbers may come out, but no memory is damaged.
 
 Each case runs in a process of its own, which a write beyond an array would end.
 """

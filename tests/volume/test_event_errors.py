@@ -1,5 +1,7 @@
-"""An invalid packet is refused with a message that names field, rule, value and event, and nothing
-has changed then."""
+"""An invalid packet is refused with a message, and nothing has changed then.
+
+The message names field, rule, value and event.
+"""
 
 import re
 from collections import namedtuple
@@ -51,8 +53,11 @@ FORMS = {
 
 
 def assert_refused(events, error, message, advice=""):
-    """With exactly this message, also when the decoder, which adds advice, knows the layout; packet
-    and decoder are as before."""
+    """Check that a packet is refused with exactly this message.
+
+    It is the same if the decoder, which adds advice, knows the layout. Packet and decoder are
+    as before.
+    """
     decoder = EventDecoder(SENSOR, "drop", LARGER_CAMERA)
     decoder.decode((T, X, Y, P))
     arrays = [

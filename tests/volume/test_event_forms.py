@@ -156,7 +156,7 @@ def test_objects_and_named_tuples_name_their_columns():
 
 
 def test_tables_name_their_columns():
-    """In any order, with others beside them."""
+    """The columns are in any order, with others beside them."""
     columns = {"polarity": P, "ts": np.array(T), "y": Y, "weight": [0.5] * len(T), "x": X}
     assert_decoded(columns)
     assert_decoded({"t": 7, "x": 1, "y": 2, "p": True}, [[7], [1], [2], [1]])
@@ -194,8 +194,10 @@ def test_times_with_a_unit(kind, unit):
 
 
 class Table:
-    """As pandas' (`columns`), or polars' and pyarrow's (`column_names`): of some names the last
-    column is returned."""
+    """A table with pandas' `columns`, or with `column_names` of polars and pyarrow.
+
+    If a name is there twice, its last column is returned.
+    """
 
     def __init__(self, attribute, names, columns):
         setattr(self, attribute, list(names))
@@ -212,7 +214,7 @@ def as_records(t, x, y, p):
     return events
 
 
-NAMED_FORMS = {  # of four columns
+NAMED_FORMS = {  # functions that make a form of four columns
     "a tuple": lambda *columns: columns,
     "a list": lambda *columns: list(columns),
     "lists of scalars": lambda *columns: tuple(list(column) for column in columns),
@@ -245,8 +247,10 @@ MICROSECONDS = {
 
 @pytest.mark.parametrize("form", NAMED_FORMS.values(), ids=NAMED_FORMS)
 def test_times_beyond_int64_microseconds_are_named(form):
-    """Up to the last one that an event may have they are exact, rounded down; beyond int64 nothing
-    wraps around."""
+    """Up to the last time that an event may have, times are exact, rounded down.
+
+    Beyond int64 nothing wraps around.
+    """
     decoder = EventDecoder(SENSOR)
     message = r"^`t` must be in \[0, 2\*\*62\) microseconds, got -?\d.* at event 1$"
     for (unit, us), kind in itertools.product(MICROSECONDS.items(), ("datetime64", "timedelta64")):
@@ -299,14 +303,17 @@ def tables_of(names, columns):
 
 @pytest.mark.parametrize("twice", ["t", "x", "y", "p"])
 def test_a_column_named_twice_is_an_error(twice, tmp_path):
-    """In every form and file that can have one; another column, which is not used, may be."""
+    """This holds in every form and file that can have one.
+
+    Another column, which is not used, may be there twice.
+    """
     names = [*"txyp", twice]
     columns = [[5, 6], [1, 1], [2, 2], [0, 1], [0, 1]]
     rows = zip(*columns, strict=True)
     text = "\n".join([",".join(names), *(",".join(map(str, row)) for row in rows)])
     (tmp_path / "a.csv").write_text(text + "\n")
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the name
+        warnings.simplefilter("ignore")  # zipfile warns of a name that is there twice
         for name, column in zip(names, columns, strict=True):
             content = BytesIO()
             np.save(content, np.array(column))
@@ -326,8 +333,10 @@ def test_a_column_named_twice_is_an_error(twice, tmp_path):
 
 @pytest.mark.parametrize("order", ["".join(order) for order in itertools.permutations("txyp")])
 def test_plain_arrays_whose_order_is_stated(order):
-    """The right order is taken, every other one that is seen to be wrong is refused, and the right
-    one named."""
+    """The right order is taken, and a wrong order is refused where it can be seen.
+
+    The message then names the right one.
+    """
     columns = dict(zip("txyp", (sorted(T), X, Y, P), strict=True))
     expected = [columns[name] for name in "txyp"]
     for dtype in (np.int64, np.uint32, np.float64):

@@ -1,5 +1,7 @@
-"""Any record layout, any numbers around the limits, any Python object: the decoder agrees with a
-slow oracle, and nothing but ValueError or TypeError ever comes out of it."""
+"""The decoder agrees with a slow oracle, and raises nothing but ValueError or TypeError.
+
+It is given any record layout, any numbers around the limits, and any Python object.
+"""
 
 from collections import namedtuple
 from types import SimpleNamespace
@@ -54,8 +56,10 @@ def outcome(take, *args):
 
 @st.composite
 def rows_for(draw, types, sensor, min_size=0):
-    """Up to five rows of numbers that their types can hold: valid, or with one field around the
-    limits."""
+    """Up to five rows of numbers that their types can hold.
+
+    They are valid, or one field is around the limits.
+    """
     trouble = draw(st.sampled_from([*NAMES, None, None, None]))
     columns = []
     for field, number in zip(NAMES, types, strict=True):
@@ -137,7 +141,10 @@ def test_records_of_any_layout(data, layout, sensor):
 
 @given(st.data(), SENSORS, st.sampled_from([(None,) * 4, OURS]))
 def test_columns_of_any_numbers(data, sensor, types):
-    """In lists, one by one, and in arrays of the decoder's own types, which it does not copy."""
+    """Numbers come in lists, one by one, and in arrays of the decoder's own types.
+
+    The decoder does not copy such arrays.
+    """
     rows = data.draw(rows_for(types, sensor, min_size=1))
     columns = [list(column) for column in zip(*rows, strict=True)]
     decoder = EventDecoder(sensor)

@@ -110,7 +110,7 @@ def test_volume_and_processor_count_every_late_event_once():
     ):
         update(packet(T))
         update(packet([8, 8, 9]))
-        update_one(6, 1, 1, 1)  # in the window
+        update_one(6, 1, 1, 1)  # this late event lies in the window
         update_one(9, 1, 1, 1)
     control.update(np.concatenate([packet(T)[KEPT], packet([8, 8, 9])[2:]]))
     control.update_one(9, 1, 1, 1)

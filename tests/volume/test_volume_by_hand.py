@@ -109,8 +109,11 @@ def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
     ("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"]
 )
 def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
-    """A pixel at the side of four is 1.5 from the centre. k microseconds before tau = 1 it is at
-    1.5 / (1 - k / T), 4.17e-10 k past the border. In packets and one by one."""
+    """A pixel at the side of four is 1.5 from the centre.
+
+    k microseconds before tau = 1 it is at 1.5 / (1 - k / T), 4.17e-10 k past the border. Events
+    come in packets and one by one.
+    """
     config = TNT.replace(sensor=(4, 4), grid=(4, 4), bins=2, window_us=3_600_000_000, t_max=1.0)
     for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (25, 0), (1000, 0)):
         event = config.window_us - k, x, y, 1
@@ -121,8 +124,10 @@ def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
 
 
 def test_rounding_leaves_no_trace_at_the_border_nor_on_the_next_cell():
-    """At tau = 13 / 13 the first column is at -3.6e-15; pixel 49 of 50 is 1.1e-16 before the second
-    column of two."""
+    """At tau = 13 / 13 the first column is at -3.6e-15.
+
+    Pixel 49 of 50 is 1.1e-16 before the second column of two.
+    """
     assert volume_of(TNT.replace(window_us=104), (13, 0, 33, 1)).counts.kept == 1
     times = TNTConfig(sensor=(50, 2), grid=(2, 2), window_us=40, representation="count_time")
     assert volume_of(times, (10, 49, 0, 1)).array[:2, 0].tolist() == [[0, 1], [0, 0.25]]
@@ -147,8 +152,10 @@ def test_remove_flow_displaces_an_event_from_the_line_itself():
 
 
 def test_times_in_a_window_of_events_are_scaled_by_the_newest():
-    """At TNT time 1 an event stays where it is, at 2 it is at half its distance from the centre;
-    the last bin is the newest event's."""
+    """At TNT time 1 an event stays where it is, at 2 it has half its distance from the centre.
+
+    The last bin is that of the newest event.
+    """
     volume = TNTVolume(
         TNTConfig(sensor=(5, 3), grid=(5, 3), bins=3, t_max=2.0, landmark="center", window_events=3)
     )
@@ -182,7 +189,8 @@ def test_a_regressors_landmark_is_the_centre():
     )
     volume = TNTVolume(config, regressor=lambda raw: (10.5, 8.5))
     volume.open(0)
-    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))  # in grid pixels (10.5, 9), (13.5, 10)
+    # The events are at (10.5, 9) and (13.5, 10) in grid pixels.
+    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))
     expected = np.zeros((5, 34, 34), np.float32)
     expected[2, 17, 16:18] = 0.5  # u = 0 / 1 + 16.5, v = 0.5 / 1 + 16.5
     expected[3, 17:19, 18:20] = -0.25  # u = 3 / 1.5 + 16.5 = 18.5, v = 1.5 / 1.5 + 16.5 = 17.5

@@ -133,8 +133,10 @@ def test_a_long_packet_equals_batch_and_its_cells_sum_to_the_events_kept(config)
 
 
 def test_opposite_events_cancel_without_a_trace():
-    """float32 sums would be off by their rounding here: 1000 ON events, then 999 OFF events, at one
-    place."""
+    """float32 sums would be off by their rounding here.
+
+    There are 1000 ON events, then 999 OFF events, at one place.
+    """
     n = 1000
     events = random_events(2 * n - 1, seed=2, duration_us=90_000)
     events["x"] = 20

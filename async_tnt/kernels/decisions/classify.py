@@ -81,7 +81,7 @@ def absorb_and_decide(
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    t, x, y, p, first, last : as for `absorb`.
+    t, x, y, p, first, last : see `absorb`.
     trigger : float64, see `trigger`. Updated in place.
     program, weights, maps, places : the classifier's, see `program`. Updated in place.
     logits, probabilities, notes : float32 (m, n_classes), float64 (m, n_classes), and int64

@@ -40,15 +40,15 @@ MOST_TRACKED = 256
 
 # `about`, int64: how the map lies in memory, and what is known of it
 FIRST = 0  # where its place (0, 0) begins
-DY = 1  # numbers from one row to the next
-DX = 2  # numbers from one column to the next
-DK = 3  # numbers from one channel to the next
+DY = 1  # stride of the rows, in numbers
+DX = 2  # stride of the columns, in numbers
+DK = 3  # stride of the channels, in numbers
 ROWS = 4
 COLUMNS = 5
 CHANNELS = 6
 NOT_FINITE = 7  # places with a logit that is not finite
-# how many steps write the map. Behind the header, for each of them: where in the program the record
-# of its changes begins.
+# How many steps write the map. Behind the header stands a number for each of these steps: where in
+# the program the record of its changes begins.
 N_SOURCES = 8
 ABOUT_SIZE = 9  # numbers in the header
 

@@ -98,6 +98,7 @@ def mix(program, at, n, weights, maps, places, bits):
                     block,
                     n_filters,
                 )
+                # The block holds the products, a bias and a slope of each filter, and the limits.
                 padded = 2 * LANES if n_filters > LANES else LANES
                 block += (n_products + 2) * padded + LANES
 

@@ -179,7 +179,7 @@ class _Tile:
         return builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
 
     def starts(self, n_places):
-        """For each place, the array it reads, from there on, and the index where it writes."""
+        """For each place, the address where its input begins, and the index of its output."""
         simd = self.simd
         slots = {slot: self.slot(slot) for slot in (P.IN_DY, P.IN_DX, P.OUT_DY, P.OUT_DX)}
         starts = []
@@ -257,7 +257,7 @@ def _mixed_places(tile, n_places, weights, block, n_filters, n_vectors):
     runs = tile.slot(P.RUNS)
     n_runs = tile.slot(P.N_RUNS)
     run_length = tile.slot(P.RUN_LENGTH)
-    n_weights = simd.mul(run_length, size)  # of a run
+    n_weights = simd.mul(run_length, size)  # the number of weights of a run
     bias = simd.add(block, simd.mul(n_runs, n_weights))
 
     def registers_at(array, index):
@@ -351,15 +351,18 @@ class _Channels:
         last = builder.sub(self.n_vectors, whole(n))
 
         def compute_next(k, carried):
-            v0 = simd.mul(k, n)
-            v0 = builder.select(builder.icmp_signed("<", v0, last), v0, last)
-            at = [simd.mul(simd.add(v0, v), LANES) for v in range(n)]
+            # The last n registers begin at `last`, so that none lies beyond the map's channels.
+            register = simd.mul(k, n)
+            is_before_last = builder.icmp_signed("<", register, last)
+            register = builder.select(is_before_last, register, last)
+            channels = [simd.mul(simd.add(register, i), LANES) for i in range(n)]
             differs = builder.bitcast(carried[0], WORDS)
-            for c, value in zip(at, self._values(at), strict=True):
-                slope = simd.load(self._weights, simd.add(self._slopes, c))
+            for channel, value in zip(channels, self._values(channels), strict=True):
+                slope = simd.load(self._weights, simd.add(self._slopes, channel))
                 value = tile.activated(value, slope, self._limits)
-                left = builder.sub(self._channels, c)
-                differs = builder.or_(differs, tile.replace(value, simd.add(self._out, c), left))
+                n_left = builder.sub(self._channels, channel)
+                out = simd.add(self._out, channel)
+                differs = builder.or_(differs, tile.replace(value, out, n_left))
             return [builder.bitcast(differs, VECTOR)]
 
         n_turns = builder.udiv(simd.add(self.n_vectors, n - 1), whole(n))

@@ -37,7 +37,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     arrivals : int64, like `ends`. When each came, microseconds on any clock.
     n_datagrams : int.
     width, height : int. Events at x >= width or y >= height are off the sensor.
-    max_jump, clock : as for `repair_times`. `clock` is updated in place.
+    max_jump, clock : see `repair_times`. `clock` is updated in place.
     out : uint8, shape (at least RECORD_BYTES * ends[n_datagrams - 1],). Records of `EVENT_DTYPE`.
         Updated in place.
 
@@ -56,7 +56,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     n_off_sensor = 0
     first = 0
     for k in range(n_datagrams):
-        newest = clock[NEWEST]  # as far as this datagram's events have been read
+        newest = clock[NEWEST]  # time of the newest event read so far, this datagram's included
         start = RECORD_BYTES * n_out
         record = start
         for i in range(first, ends[k]):

@@ -68,7 +68,7 @@ def unwrap_times(t, time, period):
     Parameters
     ----------
     t : int64. Updated in place.
-    time, period : as for `next_time`.
+    time, period : see `next_time`.
     """
     for i in range(t.size):
         time = next_time(time, t[i], period)

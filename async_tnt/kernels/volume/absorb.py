@@ -120,7 +120,7 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place, except for its cells.
-    t, x, y, p, first, last : as for `absorb`.
+    t, x, y, p, first, last : see `absorb`.
     stored_t, stored_x, stored_y, stored_p : columns with room for these events behind those that
         the window has. Updated in place.
     n_most : int. The largest number of events that the window may hold.

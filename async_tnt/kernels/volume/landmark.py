@@ -38,19 +38,19 @@ def block_of(array, slot):
 
 @inlined
 def displace_raw(x, y):
-    """No transform: the pixel itself."""
+    """The displacement without the transform: the pixel itself."""
     return np.float64(x), np.float64(y), 1.0
 
 
 @inlined
 def displace_fixed(x, y, dt, fixed_x, fixed_y):
-    """From a given landmark."""
+    """The displacement of an event from a given landmark."""
     return np.float64(x) - fixed_x, np.float64(y) - fixed_y, np.float64(dt)
 
 
 @inlined
 def displace_running(x, y, dt, n, sum_x, sum_y):
-    """From the centroid of the events so far."""
+    """The displacement of an event from the centroid of the events so far."""
     count = np.float64(n)
     return (
         count * np.float64(x) - np.float64(sum_x),
@@ -61,7 +61,9 @@ def displace_running(x, y, dt, n, sum_x, sum_y):
 
 @inlined
 def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
-    """From the running line, after adding the event to the line's centred sums.
+    """The displacement of an event from the running line.
+
+    The event is added to the line's centred sums first.
 
     The line is the ridge regression, with penalty 1, of x (and y) on the window fraction
     f = dt / window_us. With the penalty, a few events give nearly their centroid.

@@ -118,7 +118,7 @@ def add_event(buffer, corner, row, second, y_frac, x_frac, lower, upper):
     buffer : float64, the volume's `state`. Updated in place.
     corner : uint64, which spares Numba's test for a negative index. Not checked here.
     row, second : uint64. Distances to the next row and to the event's second bin.
-    y_frac, x_frac, lower, upper : as `place_event` returns them.
+    y_frac, x_frac, lower, upper : what `place_event` returns.
     """
     w11 = y_frac * x_frac
     w10 = y_frac - w11  # y_frac (1 - x_frac)
@@ -147,7 +147,7 @@ def combine_time(buffer, corner, row, second, y_frac, x_frac, f, combine):
 
     Parameters
     ----------
-    buffer, corner, row, second, y_frac, x_frac : as for `add_event`.
+    buffer, corner, row, second, y_frac, x_frac : see `add_event`.
     f : float. The event's time.
     combine : int. One of the COMBINE_ numbers of `state`.
 

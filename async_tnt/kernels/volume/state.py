@@ -48,7 +48,7 @@ SENSOR_W = 17
 SENSOR_H = 18
 ROW = 19  # cells in a row: W + 1
 PLANE = 20  # cells of a bin: (H + 1) (W + 1)
-OFF_SHIFT = 21  # from an ON cell to its OFF cell ("split"), else 0
+OFF_SHIFT = 21  # distance from an ON cell to its OFF cell ("split"), else 0
 LOG = 22  # where the log begins
 LOG_SIZE = 23  # a power of two, at least BLOCK
 # ints: the open window
@@ -77,7 +77,7 @@ DECIDED_FROM_US = 40
 DECIDED = 41  # late events at or after that time, dropped since the volume was made
 # ints: more parameters
 COMBINE = 42  # one of the COMBINE_ numbers
-SECOND = 43  # from the first of an event's bins to its second one
+SECOND = 43  # distance from the first of an event's two bins to the second one
 WITHOUT_GIL = 44  # not 0 while a kernel that has released Python's lock calls others, see `lock`
 
 # ints: counted up to the open window's start; a replay of the window counts on from here

@@ -1,5 +1,4 @@
-"""A network as data: the layers that a model's file lists, checked, with the shape of what each
-computes.
+"""A network as data: its layers, which are checked, and the shape of what each layer computes.
 
     {"classifier": [layer, ...], "regressor": [layer, ...]}
 
@@ -65,7 +64,7 @@ def layer_shapes(
 
     Parameters
     ----------
-    layers : of one network.
+    layers : the layers of one network.
     volume : (C, H, W).
     tensors : name -> the shape of weights.
     partial : whether more layers are to come.
@@ -214,7 +213,7 @@ def _check_fields(layer: Layer, operation: Operation) -> None:
 def _weight_shapes(
     layer: Layer, operation: Operation, tensors: Mapping[str, Shape]
 ) -> dict[str, Shape]:
-    """Role -> the shape of its weights."""
+    """The shapes of a layer's weights, by role."""
     if not operation.roles:
         return {}
     weights = layer["weights"]

@@ -61,7 +61,11 @@ def _dense_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -
 
 
 def _dense_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """One step or, where its input is a flattened map, what each place adds, and their sum."""
+    """The steps of a dense layer.
+
+    If its input is one place, this is one step. If its input is a flattened map, a first step
+    computes what each place adds to the output, and a second step sums this over all places.
+    """
     (source,) = inputs
     weight = made.tensor(layer, "weight")
     n_units = len(weight)
@@ -90,7 +94,7 @@ def _batch_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shap
 
 
 def _batch_norm_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """No step of its own: it scales and shifts the weights of the step before."""
+    """Scale and shift the weights of the step before: a batch norm has no step of its own."""
     n = len(made.tensor(layer, "mean"))
     mean = made.tensor(layer, "mean").astype(np.float64)
     variance = made.tensor(layer, "variance").astype(np.float64)

@@ -53,7 +53,7 @@ def _made_steps(
 def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
     """How many layers read the output of a layer, directly or through a flatten.
 
-    The network's output is read once more.
+    The network's output counts as read once more than that.
     """
     origins: dict[str, str] = {}  # flatten -> the layer whose numbers it has
     readers: Counter[str] = Counter()

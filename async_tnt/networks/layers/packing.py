@@ -19,8 +19,7 @@ class PackedWeights:
     ----------
     numbers : float32, flat.
     groups : how many groups of filters have blocks of their own.
-    place_weights : numbers from the weights of one place to those of the next; 0 where all places
-        share them.
+    place_weights : stride of the places' weights, in numbers; 0 where all places share them.
     """
 
     numbers: np.ndarray
@@ -45,7 +44,7 @@ def packed_weights(step: Step) -> PackedWeights:
 
 
 def _weights_of_places(step: Step) -> np.ndarray:
-    """(places, numbers): the packed weights of each place that is computed."""
+    """The packed weights of each place that is computed, (places, numbers)."""
     computed = step.weights[: step.rows, : step.columns]
     of_places = computed.reshape(-1, *step.weights.shape[2:])
     if step.kind == MIX:
@@ -54,7 +53,10 @@ def _weights_of_places(step: Step) -> np.ndarray:
 
 
 def _rows(w: np.ndarray, step: Step) -> np.ndarray:
-    """(places, numbers): weights (places, taps, C) of a step that computes channels one by one."""
+    """The packed weights of a step that computes channels one by one, (places, numbers).
+
+    They are packed from weights (places, taps, C).
+    """
     n_places, n_taps, channels = w.shape
     size = round_up(channels, LANES)
     packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)
@@ -90,7 +92,7 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
 
 
 def _limits(step: Step) -> np.ndarray:
-    """(LANES,): the limits of the step's results, then zeros."""
+    """The limits of the step's results, then zeros, (LANES,)."""
     return np.pad(np.array([step.low, step.high], np.float32), (0, LANES - 2))
 
 
@@ -100,9 +102,11 @@ def round_up(n: int, multiple: int) -> int:
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:
-    """n zeros that begin where a cache line does: registers across two lines are read half as
-    fast."""
-    n_bytes = 64  # of a cache line
+    """n zeros that begin where a cache line begins.
+
+    A register that lies across two cache lines is read half as fast.
+    """
+    n_bytes = 64  # the size of a cache line
     array: np.ndarray = np.zeros(n + n_bytes // np.dtype(dtype).itemsize, dtype)
     first = -array.ctypes.data % n_bytes // array.itemsize
     return array[first : first + n]

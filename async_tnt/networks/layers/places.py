@@ -28,7 +28,7 @@ def axis_through_window(layer: Layer, k: int, axis: Axis) -> Axis:
     Parameters
     ----------
     k : 0 for rows, 1 for columns.
-    axis : of the layer's input.
+    axis : axis of the layer's input.
     """
     if "kernel" not in layer:
         return axis

@@ -44,8 +44,8 @@ class Program:
     ----------
     arrays : what the kernels read and write.
     steps : for each step, in order, the name of the layer that it computes or belongs to.
-    output_layout : where in `maps` the output begins, and numbers from one of its rows, columns and
-        channels to the next.
+    output_layout : where in `maps` the output begins, and the strides of its rows, columns and
+        channels, in numbers.
     output_changes : where in the program the records of the output's changes begin.
     lanes : how many filters lie side by side in `arrays.weights`.
     """
@@ -65,7 +65,8 @@ class Program:
                 "a network was pickled on a processor with other vector registers: load its model "
                 "instead"
             )
-        self.arrays.weights.flags.writeable = False  # which a pickle does not keep
+        # A pickle does not keep this flag.
+        self.arrays.weights.flags.writeable = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Program:
         """A network of its own, with the same read-only weights."""
@@ -77,7 +78,7 @@ class Program:
 
         Parameters
         ----------
-        volume : as `VolumeInput` returns it.
+        volume : a volume as `VolumeInput` returns it.
 
         Returns
         -------
@@ -98,7 +99,7 @@ def make_program(
 
     Parameters
     ----------
-    shape : of the volumes, (C, H, W).
+    shape : shape of the volumes, (C, H, W).
     tensors : name -> weights.
     shared : where programs of the same layers and shape share their packed weights. Those of the
         first program enter it.
@@ -174,10 +175,12 @@ class _MapsLayout:
 def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
     """The layout of the volume and of all maps that steps compute.
 
+    Maps that are added to each other have the same frame, that of the widest padding. So they may
+    need more memory than the layers said.
+
     Raises
     ------
-    ValueError : they need more memory than the layers said. Maps that are added to each other have
-        one frame, that of the widest padding.
+    ValueError : the maps need more memory than is allowed.
     """
     numbers = _Arena()
     planes = numbers.take(volume.channels * volume.rows * volume.columns)
@@ -206,9 +209,9 @@ class _ProgramWriter:
     Attributes
     ----------
     program : the header, and a record for each step.
-    tables : what stands behind it.
+    tables : the numbers that stand behind the records of the steps.
     weights : the packed weights of each step.
-    places : what lies in the array `places`.
+    places : the layout of the array `places`.
     records : step -> where its record begins.
     """
 
@@ -245,7 +248,7 @@ class _ProgramWriter:
         self._write_changes(program, P.INPUT_TOUCHED, volume.rows, volume.columns)
 
     def _write_scratch(self) -> None:
-        """Room for a row of bits of any map, within zeros for what steps see beside it."""
+        """Reserve memory for a row of bits of any map, with zeros for what steps see beside it."""
         n_words = max(_words(part.columns) for part in self._layout.firsts)
         n_before = max(_words(step.padding[1]) for step in self._steps)
         n_seen = max(_words_seen(step) for step in self._steps)
@@ -254,7 +257,7 @@ class _ProgramWriter:
         self.program[P.SCRATCH_WORDS] = n_words
 
     def _write_changes(self, record: np.ndarray, at: int, rows: int, columns: int) -> None:
-        """A record of changes, see `kernels.network.changes`: there are none."""
+        """Write a record that there are no changes, see `kernels.network.changes`."""
         n_words = _words(columns)
         first = self.places.take(2 * rows * n_words) // 2
         record[at : at + 4] = first, MAX_ROW, -1, n_words
@@ -358,8 +361,10 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
 
 
 class VolumeInput:
-    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so the kernel is compiled
-    only once."""
+    """Passes volumes to a kernel in the form of `TNTVolume.array`.
+
+    The kernel is then compiled for this one form only.
+    """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.shape = shape

@@ -65,9 +65,9 @@ class Step:
     name : the layer that it computes or belongs to.
     kind : MIX, MAXIMUM, FUNCTION or SPREAD, which have one input; or SUM, whose inputs have one
         shape and are taps of one sum.
-    weights : for a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F,
-        C). For a SUM (taps, C), input by input and tap by tap, with `own_weights` (rows, columns,
-        taps, C).
+    weights : the weights of a MIX have the shape (F, C / groups, kernel_y, kernel_x), with
+        `own_weights` (rows, columns, F, C). Those of a SUM have the shape (taps, C), input by input
+        and tap by tap, with `own_weights` (rows, columns, taps, C).
     bias : (F,) or (C,).
     own_weights : whether each place has weights of its own.
     applied : the place of a FUNCTION's function in `kernels.network.functions.FUNCTIONS`.

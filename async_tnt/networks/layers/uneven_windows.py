@@ -1,5 +1,6 @@
-"""Mean poolings whose windows hold different numbers of places, as windows of one size in which
-each place has weights of its own.
+"""Mean poolings whose windows hold different numbers of places.
+
+They become windows of one size, in which each place has weights of its own.
 
 Along one axis, tap i of place k is the input `k stride - before + i`. What a tap adds to the mean
 of its place is its share: 1 / n for the n inputs of the place's span that exist, 0 for other taps.
@@ -50,14 +51,13 @@ def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
 
 
 def adaptive_shares(n: int, n_inputs: int) -> tuple[np.ndarray, int, int]:
-    """The shares of an adaptive pooling to `n` places, along one axis: (n, kernel); then stride and
-    before."""
+    """The shares of an adaptive pooling to `n` places along one axis, its stride and `before`."""
     spans, stride, before, kernel = adaptive_spans(n, n_inputs)
     return shares_of(spans, n_inputs, stride, before, kernel), stride, before
 
 
 def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
-    """(n, n_inputs): the share of each input in each place of an adaptive pooling."""
+    """The share of each input in each place of an adaptive pooling, (n, n_inputs)."""
     shares, stride, before = adaptive_shares(n, n_inputs)
     matrix = np.zeros((n, before + n * stride + shares.shape[1] + n_inputs))
     for k, row in enumerate(shares):
@@ -68,7 +68,7 @@ def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
 def shares_of(
     spans: Sequence[tuple[int, int]], n_inputs: int, stride: int, before: int, kernel: int
 ) -> np.ndarray:
-    """(places, taps): the share of each tap in its place's mean, over the span inside the input.
+    """The share of each tap in its place's mean, over the span inside the input, (places, taps).
 
     Examples
     --------
@@ -84,7 +84,10 @@ def shares_of(
 
 
 def place_weights(rows: np.ndarray, columns: np.ndarray, channels: int) -> np.ndarray:
-    """(rows, columns, taps, C), read-only: the share of its row times the share of its column."""
+    """The weights of each place: the share of its row times the share of its column.
+
+    The array has the shape (rows, columns, taps, C) and is read-only.
+    """
     products = np.einsum("yi,xj->yxij", rows, columns).astype(np.float32)
     shares = products.reshape(len(rows), len(columns), -1, 1)
     return np.broadcast_to(shares, (*shares.shape[:3], channels))

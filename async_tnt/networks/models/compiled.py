@@ -1,5 +1,7 @@
-"""The compiled networks of a model: the classifier, which computes only what has changed, and the
-landmark regressor."""
+"""The compiled networks of a model: the classifier and the landmark regressor.
+
+The classifier computes only what has changed.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,8 @@ class CompiledClassifier:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         vars(self).pop("map", None)  # a view of what was copied
-        self.network.program[EPOCH] = 0  # in another process, another window may have this number
+        # In another process, another window may have the number that was copied.
+        self.network.program[EPOCH] = 0
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
@@ -189,8 +192,9 @@ class CompiledClassifier:
         trigger: np.ndarray,
         *answers: np.ndarray,
     ) -> tuple[int, int, int]:
-        """Absorb events and decide in one compiled call, see
-        `kernels.decisions.classify.absorb_and_decide`.
+        """Absorb events and decide, in one compiled call.
+
+        See `kernels.decisions.classify.absorb_and_decide`.
 
         Parameters
         ----------
@@ -204,8 +208,9 @@ class CompiledClassifier:
 
 
 class CompiledRegressor:
-    """The compiled landmark network of a model: raw volume (C, H, W) -> landmark (x, y) in grid
-    pixels.
+    """The compiled landmark network of a model.
+
+    It makes a landmark (x, y) in grid pixels from a raw volume (C, H, W).
 
     Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. It
     equals torch's to 1e-4 pixels. A volume alone takes one as `TNTVolume(model.config,
@@ -242,8 +247,10 @@ class CompiledRegressor:
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
-        """The landmark of one raw volume, float64; nan where the network's float32 numbers
-        overflow."""
+        """The landmark of one raw volume, float64.
+
+        It is nan where the network's float32 numbers overflow.
+        """
         exponent = self._program.run(self._input(volume))
         _, height, width = self.shape
         x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)

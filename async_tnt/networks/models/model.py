@@ -292,7 +292,10 @@ def _check_network(
 
 
 def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
-    """A number for each class, or a map with a channel for each class and one for nothing."""
+    """Refuse logits other than a number for each class, or a map with a channel for each class.
+
+    A map has one more channel, for nothing.
+    """
     is_map = len(logits) == 3 and logits[0] == n_classes + 1 and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(

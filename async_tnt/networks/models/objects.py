@@ -1,5 +1,7 @@
-"""What stands where on the sensor, read from a map of logits (classes and nothing, rows,
-columns)."""
+"""The objects on the sensor and their places, read from a map of logits.
+
+The map has the shape (classes and nothing, rows, columns).
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,10 @@ def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
 
 
 def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
-    """Where the places of a network's last map lie: in the middle of the pixels that a place
-    depends on.
+    """Where on the sensor the places of a network's last map lie.
 
-    Where a layer has several inputs, the first one counts.
+    A place lies in the middle of the pixels that it depends on. Where a layer has several inputs,
+    the first one counts.
     """
     width, height = config.grid
     axes = {VOLUME: (Axis(0.0, 1.0, height), Axis(0.0, 1.0, width))}
@@ -56,7 +58,7 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
         axes[layer["name"]] = (through(layer, 0, rows), through(layer, 1, columns))
 
     rows, columns = axes[layers[-1]["name"]]
-    # sensor pixels in a grid pixel
+    # The size of a grid pixel, in sensor pixels.
     across = (config.sensor[0] - 1) / (width - 1)
     down = (config.sensor[1] - 1) / (height - 1)
     return Places(
@@ -65,8 +67,9 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
 
 
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
-    """How an answer of this shape is read: as logits (n,), or as a map (n_classes + 1, R, C); None
-    where it can be neither.
+    """How an answer of this shape is read.
+
+    It is read as logits (n,), or as a map (n_classes + 1, R, C). None if it can be neither.
 
     Examples
     --------
@@ -90,9 +93,9 @@ class ObjectReader:
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps: a channel for each class, then nothing.
-    layout : for an incremental network, where its map begins, and numbers from one row, column and
-        channel to the next.
-    sources : for an incremental network, where in its program the records of the map's changes
+    layout : only for an incremental network: where its map begins, and the strides of the map's
+        rows, columns and channels, in numbers.
+    sources : only for an incremental network: where in its program the records of the map's changes
         begin.
 
     Attributes

@@ -23,14 +23,19 @@ if TYPE_CHECKING:
 
 
 def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
-    """A model's classifier as a module in eval mode: volumes (N, C, H, W) -> logits (N,
-    n_classes)."""
+    """A model's classifier as a module in eval mode.
+
+    It makes logits (N, n_classes) from volumes (N, C, H, W).
+    """
     return _network(model, CLASSIFIER)
 
 
 def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
-    """A model's landmark network as a module in eval mode: raw volumes (N, C, H, W) -> (N, 2) in
-    grid pixels. None if the model has no landmark network."""
+    """A model's landmark network as a module in eval mode.
+
+    It makes landmarks (N, 2) in grid pixels from raw volumes (N, C, H, W). None if the model
+    has no landmark network.
+    """
     return _network(model, REGRESSOR) if model.config.needs_regressor else None
 
 
@@ -41,8 +46,10 @@ def _network(model: Model, name: str) -> tnt_reference.LayerNetwork:
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:
-    """`torch_regressor` as a function of one raw volume (C, H, W): the landmark (x, y) in grid
-    pixels."""
+    """`torch_regressor` as a function from one raw volume (C, H, W) to its landmark.
+
+    The landmark is (x, y) in grid pixels.
+    """
     import torch
 
     network = torch_regressor(model)
@@ -98,7 +105,7 @@ class TorchClassifier:
             torch.set_num_threads(positive_int("threads", threads))
         self.module = module
         self.places = places
-        self._like = torch.empty(0)  # on the device and of the type of the module
+        self._like = torch.empty(0)  # a tensor with the device and the type of the module
         if isinstance(module, torch.nn.Module):
             # an exported program has no such mode: it keeps the one that it was exported in
             with suppress(NotImplementedError):

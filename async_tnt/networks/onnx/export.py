@@ -88,6 +88,8 @@ def _nodes_of(model: Model) -> OnnxNodes:
         write(made, layer, inputs, name)
 
     output = made.value_of(layers[-1]["name"])
-    if output != LOGITS:  # a map
+    # An output that is not a vector has another name: it is a map. A map model's logits are the map
+    # as it is. Other models flatten it.
+    if output != LOGITS:
         made.add("Flatten" if model.places is None else "Identity", [output], LOGITS)
     return made

@@ -1,5 +1,7 @@
-"""ONNX networks as Models: what torch, Keras and others export of convolutional networks, and our
-own files."""
+"""ONNX networks as Models.
+
+They are our own files, and the convolutional networks that torch, Keras and others export.
+"""
 
 from __future__ import annotations
 
@@ -43,11 +45,12 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     with needs_extra("onnx", "ONNX networks are read by onnx"):
         import onnx
     try:
-        proto = onnx.load(path)  # and weights in files beside it
+        # This also reads weights that stand in files beside it.
+        proto = onnx.load(path)
         onnx.checker.check_model(proto)
         metadata = {entry.key: entry.value for entry in proto.metadata_props}
         exported = read_metadata(metadata, path.read_bytes())
-    except Exception as error:  # of many types
+    except Exception as error:  # onnx and protobuf raise errors of many types
         raise ValueError(f"{path} is not a readable ONNX network: {one_line(error)}") from None
     if exported is not None:
         if config is not None or classes is not None:
@@ -254,7 +257,7 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
 
 
 def _check_meanings(model: onnx.ModelProto) -> int:
-    """The version of ONNX's operations.
+    """Check the meanings of the operations, and return the version of ONNX's operations.
 
     Raises
     ------

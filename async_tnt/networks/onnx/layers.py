@@ -87,8 +87,10 @@ class OnnxLayers:
         self.names[node.outputs[0]] = name
 
     def layer(self, value: str) -> str:
-        """The name of the layer that computes a value; a NotImplementedError if it does not depend
-        on the volume."""
+        """The name of the layer that computes a value.
+
+        A NotImplementedError if the value does not depend on the volume.
+        """
         if value not in self.names:
             raise NotImplementedError(f"its input {value!r} is not computed from the volume")
         return self.names[value]

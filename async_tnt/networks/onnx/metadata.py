@@ -60,8 +60,8 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
 
     Parameters
     ----------
-    metadata : of the file.
-    content : all of its bytes.
+    metadata : the metadata of the file, by name.
+    content : all bytes of the file.
 
     Raises
     ------

@@ -137,7 +137,7 @@ class OnnxClassifier:
             volume = np.zeros((1, *self.shape), np.float32)
             # its size may depend on the input's
             (answer,) = self._session.run([output.name], {input_name: volume})
-        except Exception as error:  # of many types, none of them a ValueError
+        except Exception as error:  # onnxruntime raises errors of many types
             raise ValueError(
                 f"{self._name}: the network fails on an empty volume: {one_line(error)}"
             ) from None
@@ -168,7 +168,7 @@ class OnnxClassifier:
         np.copyto(self._volume, volume)
         try:
             self._session.run_with_iobinding(self._binding)
-        except Exception as error:  # as above
+        except Exception as error:  # onnxruntime raises errors of many types
             raise ValueError(
                 f"{self._name}: the network fails on this volume: {one_line(error)}"
             ) from None
@@ -189,8 +189,10 @@ def _places_of(exported: Exported, name: str) -> Places:
 
 
 def source_of(path_or_bytes: Any) -> str | bytes:
-    """A network as onnxruntime opens it: the path of its file, or its bytes; a TypeError for
-    anything else."""
+    """A network as onnxruntime opens it: the path of its file, or its bytes.
+
+    A TypeError for anything else.
+    """
     if hasattr(path_or_bytes, "SerializeToString"):  # onnx.ModelProto, without importing onnx
         return bytes(path_or_bytes.SerializeToString())
     if isinstance(path_or_bytes, (bytes, bytearray, memoryview)):
@@ -251,7 +253,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
     Raises
     ------
     ImportError : onnxruntime is not installed.
-    ValueError : it is no ONNX network, or this package wrote it and it is damaged.
+    ValueError : the file is no ONNX network, or this package wrote it and it is damaged.
     """
     onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()
@@ -271,7 +273,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
         inputs = session.get_inputs()
         outputs = session.get_outputs()
         metadata = session.get_modelmeta().custom_metadata_map
-    except Exception as error:  # of many types, none of them a ValueError
+    except Exception as error:  # onnxruntime raises errors of many types
         raise ValueError(f"{name} is not a readable ONNX network: {one_line(error)}") from None
     content = Path(source).read_bytes() if isinstance(source, str) else source
     try:

@@ -18,19 +18,19 @@ LOGITS = "logits"
 
 
 class OnnxNodes:
-    """Nodes so far, and the constants that they read.
+    """The nodes that were added so far, and the constants that they read.
 
     Parameters
     ----------
-    layers : of the network that is written.
-    weights : name -> values.
-    shapes : layer -> the shape of its output; and of the volume.
+    layers : the layers of the network that is written.
+    weights : the network's weights by name.
+    shapes : the shape of each layer's output, and that of the volume, by name.
     make_node : `onnx.helper.make_node`.
 
     Attributes
     ----------
-    nodes : in the order in which they are computed.
-    weights : those of the network, then the constants that nodes need besides.
+    nodes : the nodes in the order in which they are computed.
+    weights : the network's weights, and the constants that the nodes need besides, by name.
 
     Raises
     ------

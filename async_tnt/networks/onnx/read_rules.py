@@ -270,7 +270,7 @@ def average_pool(made: OnnxLayers, node: Node) -> None:
 
 def reduce_mean(made: OnnxLayers, node: Node) -> None:
     axes = node.get("axes")
-    if axes is None:  # from opset 18 on they are an input
+    if axes is None:  # from opset 18 on the axes are an input
         given = made.constant(node, 1)
         axes = None if given is None else given.tolist()
     is_all_places = sorted(axis % 4 for axis in axes or []) == [2, 3]

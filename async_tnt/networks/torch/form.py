@@ -34,7 +34,7 @@ class TorchForm:
         attributes.
     inputs : names of the inputs.
     may_share : whether the result may lie in the memory of the input, as a view does.
-    arguments_of : for calls whose arguments have no fixed order.
+    arguments_of : finds the arguments of a call if they have no fixed order.
     """
 
     rule: Rule

@@ -39,7 +39,7 @@ def layers_from_torch(
     ----------
     module : volumes (1, C, H, W) -> (1, n), made of the modules, functions and methods that
         `networks/torch/operations.py` lists, in place or not.
-    shape : of a volume, (C, H, W).
+    shape : shape of a volume, (C, H, W).
     prefix : what stands before the weights' names, which are otherwise those in `state_dict`.
 
     Raises
@@ -59,7 +59,8 @@ def layers_from_torch(
         return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
 
     module = own_copy(module)
-    if type(module) in MODULES:  # which a trace would look into
+    # A trace looks into the module itself, but takes each known module in it as one call.
+    if type(module) in MODULES:
         module = nn.Sequential(module)
     try:
         graph = _Tracer().trace(module)
@@ -71,7 +72,8 @@ def layers_from_torch(
     except ValueError as error:
         try:
             _function_of(module)(np.zeros(shape, np.float32))
-        except Exception:  # of any type: the module does not take such volumes either
+        # An error of any type means that the module does not take such volumes.
+        except Exception:
             raise error from None
         raise _cannot_be_read(error) from None
     return layers, weights
@@ -95,13 +97,14 @@ def check_torch_layers(
     weights: Mapping[str, np.ndarray],
     shape: tuple[int, ...],
 ) -> None:
-    """Compare a module with its layers, both in float64: a trace does not show everything that a
-    module does.
+    """Check that a module and its layers compute the same, both in float64.
+
+    The layers come from a trace, which does not show everything that a module does.
 
     Parameters
     ----------
-    layers, weights : as `layers_from_torch` made them.
-    shape : of a volume, (C, H, W).
+    layers, weights : what `layers_from_torch` made of the module.
+    shape : shape of a volume, (C, H, W).
 
     Raises
     ------
@@ -150,7 +153,7 @@ def own_copy(module: nn.Module) -> nn.Module:
             raise NotImplementedError(f"{where} has a `forward` that is not of its class")
     try:
         return copy.deepcopy(module).eval()
-    except Exception as error:  # of many types
+    except Exception as error:  # modules raise errors of many types
         raise NotImplementedError(f"the module cannot be copied: {one_line(error)}") from None
 
 

@@ -1,5 +1,4 @@
-"""What a trace of a torch module is read into: calls of known operations, and the layers they
-become."""
+"""The calls of known operations in the trace of a torch module, and the layers they become."""
 
 from __future__ import annotations
 
@@ -46,8 +45,8 @@ class LayerList:
 
     Parameters
     ----------
-    shape : of a volume, (C, H, W).
-    prefix : of the weights' names.
+    shape : shape of a volume, (C, H, W).
+    prefix : prefix of the weights' names.
 
     Attributes
     ----------
@@ -99,8 +98,10 @@ class LayerList:
         return layer_shapes(self.layers, self._volume, tensors, partial=True)[self.source(node)]
 
     def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-        """The layers that a node's value is computed from, the last one its own, and their
-        weights."""
+        """The layers that a node's value is computed from, and their weights.
+
+        The last one is the layer of the node itself.
+        """
         needed = {self.source(output)}
         expect_form(needed != {VOLUME}, "the volume itself")
         layers: list[dict[str, Any]] = []

@@ -135,8 +135,10 @@ def _pool(made: LayerList, call: Call, op: str) -> str:
 
 
 def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int:
-    """The padding with which torch's `ceil_mode` needs none: so much that a last window fits that
-    begins inside the input."""
+    """The padding at the end with which a pooling needs no `ceil_mode` of torch.
+
+    With this padding the last window fits, if it begins inside the input.
+    """
     last = min(math.ceil((side + 2 * before - kernel) / stride), (side + before - 1) // stride)
     return last * stride + kernel - before - side
 

@@ -40,8 +40,9 @@ class DatFile:
 
 
 class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
-    """A stream that is written to DAT files, one after the other. The end of a `with` block
-    completes the last one.
+    """A stream that is written to DAT files, one after the other.
+
+    The end of a `with` block completes the last one.
 
     DAT's times have 32 bits. An event begins a new file where its time could not be read back: a
     time before the first of the file, or 71.6 minutes after it, or 35.8 minutes before or after the

@@ -58,8 +58,11 @@ class LabelledRecording:
 
     @property
     def name(self) -> str:
-        """The name for messages and reports: class folder and file, or the session's file and the
-        part's times."""
+        """The name for messages and reports.
+
+        It is made of the class folder and the file, or of the session's file and the part's
+        times.
+        """
         if self.between_us is None:
             return f"{self.path.parent.name}/{self.path.name}"
         return self.name_as(self.path.name)
@@ -189,8 +192,7 @@ def has_test(folder: Path) -> bool:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether `open_recording` knows the suffix, and the file is neither hidden nor a table of
-    labels."""
+    """Whether a file is a recording by its suffix, not hidden, and not a table of labels."""
     return (
         path.suffix.lower() in READERS
         and not path.name.startswith(".")
@@ -232,7 +234,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _sessions(folder: Path) -> dict[Path, Path]:
-    """Recording -> its table, for each session in a folder."""
+    """The sessions of a folder: the table of each recording that has one."""
     tables = {
         path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()
     }
@@ -317,7 +319,7 @@ def _sessions_for(
 def _parts(
     folder: Path, sessions: Mapping[Path, Path], part: str | None
 ) -> dict[str, list[LabelledRecording]]:
-    """Class name -> the parts of sessions that show the class."""
+    """The parts of sessions that show each class, by the name of the class."""
     sessions = _sessions_for(folder, sessions, part)
     names = {}
     if (folder / NAMES_FILE).is_file():
@@ -343,7 +345,7 @@ def _parts(
 
 
 def _times_in(where: str, row: Mapping[str, str]) -> tuple[int, int]:
-    """(start, end), in microseconds, in a row of a session's table.
+    """Start and end, in microseconds, in a row of a session's table.
 
     Raises
     ------
@@ -388,7 +390,7 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int,
 
     Raises
     ------
-    ValueError : not a CSV file, or a column is missing or there twice.
+    ValueError : the table is not a CSV file, or a column is missing or there twice.
     """
     refuse_git_lfs(path)
     try:

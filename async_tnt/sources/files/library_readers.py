@@ -124,8 +124,9 @@ def read_aedat4(path: str) -> Iterator[Any]:
 
 
 def read_es(path: str) -> Iterator[Any]:
-    """The events of an Event Stream file (`.es`): DVS events, or those ATIS events that report a
-    change of light.
+    """The events of an Event Stream file (`.es`).
+
+    They are DVS events, or the ATIS events that report a change of light.
 
     faery drops the packet in which it finds damage, and says nothing of a file that ends within an
     event.
@@ -203,8 +204,9 @@ def read_hdf5(path: str) -> Iterator[Any]:
 
 
 def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
-    """The data sets of events, one of records or four of columns t, x, y, p, and what to add to t,
-    in microseconds.
+    """The data sets of events, and what to add to t, in microseconds.
+
+    There is one data set of records, or there are four of the columns t, x, y, p.
 
     Raises
     ------
@@ -325,7 +327,7 @@ def _check_complete(data: Any) -> None:
 
 
 def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
-    """(width, height) from the numbers events/width and events/height; None without both."""
+    """The sensor's sides from the numbers events/width and events/height; None without both."""
     sides = [_find(h5py, file, f"events/{name}") for name in ("width", "height")]
     if None in sides:
         return None
@@ -341,7 +343,7 @@ def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
 
 
 def _geometry(file: Any) -> tuple[int, int] | None:
-    """(width, height) from the attribute `geometry`; None without it."""
+    """The sensor's sides (width, height) from the attribute `geometry`; None without it."""
     geometry = file.attrs.get("geometry")
     if isinstance(geometry, bytes):
         geometry = geometry.decode("ascii", "replace")

@@ -114,7 +114,7 @@ def map_npy(path: str | os.PathLike[str]) -> np.memmap:
 
     Raises
     ------
-    ValueError : it is damaged, or a pointer of Git LFS.
+    ValueError : the file is damaged, or a pointer of Git LFS.
     """
     path = user_path(path)
     refuse_git_lfs(path)
@@ -172,7 +172,7 @@ def _read_npz(path: Path, order: str | None) -> tuple[Sensor | None, np.ndarray]
 
     Parameters
     ----------
-    order : as for `_columns`.
+    order : see `_columns`.
     """
     with zipfile.ZipFile(path) as archive:
         members = _members(archive)
@@ -239,7 +239,7 @@ def _event_members(members: dict[str, zipfile.ZipInfo]) -> list[zipfile.ZipInfo]
 
 
 def _sensor(array: np.ndarray) -> Sensor:
-    """(width, height) from the array `sensor` of an archive."""
+    """The sensor's sides (width, height) from the array `sensor` of an archive."""
     rule = f"its array 'sensor' must be two integers (width, height) in [1, {max(ANY_SENSOR)}]"
     if array.shape != (2,) or array.dtype.kind not in "iu":
         raise ValueError(f"{rule}, got shape {array.shape} of {array.dtype}")

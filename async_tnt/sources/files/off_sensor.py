@@ -1,5 +1,6 @@
-"""Events off the sensor: left out and counted, unless there are so many that the recording is of
-another sensor.
+"""Events off the sensor: they are left out and counted.
+
+A recording with many of them is refused, as it is of another sensor.
 
 A flipped bit on a cable, or a lost word of a stream, gives an event a pixel that the sensor does
 not have. Such an event says nothing, but those around it are good. Many of them mean something
@@ -71,8 +72,7 @@ class SensorCheck:
 
     @property
     def is_another_sensor(self) -> bool:
-        """Whether so many of the events seen so far are off the sensor that it cannot be the
-        recording's."""
+        """Whether so many events are off the sensor that the recording must be of another one."""
         many = self.n_off > FEW and self.n_off > SHARE * self.n_events
         return many or 2 * self.n_off > self.n_events
 

@@ -116,8 +116,10 @@ class Header:
 
     @property
     def t0_us(self) -> int:
-        """What faery subtracted from the times when it wrote the file; 0 if the header does not
-        state it."""
+        """What faery subtracted from the times when it wrote the file.
+
+        0 if the header does not state it.
+        """
         t0 = self.fields.get("t0", "0")
         if not t0.isdecimal() or len(t0) > 18:
             raise ValueError(f"{self.path}: `% t0` must be whole microseconds, got {t0[:40]!r}")
@@ -147,7 +149,7 @@ class Header:
             self.fields[keyword.lower()] = rest.strip()
 
     def _sensor(self) -> Sensor | None:
-        """(width, height), None if the header does not state both."""
+        """The sensor's sides (width, height); None if the header does not state both."""
         sides = self._sides()
         if sides is None:
             return None

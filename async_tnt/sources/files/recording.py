@@ -107,8 +107,10 @@ READERS: dict[str, Reader] = {
 
 @dataclass(frozen=True, slots=True)
 class RecordingCounts:
-    """What became of a recording's events, up to the damage if there is any: received = kept +
-    off_sensor."""
+    """What became of a recording's events: received = kept + off_sensor.
+
+    If the recording is damaged, these are the events before the damage.
+    """
 
     received: int = 0
     """Events in the file, or in the part of it that is read."""
@@ -182,8 +184,10 @@ class Recording:
 
     @property
     def duration_us(self) -> int:
-        """Time from the earliest to the latest event, in microseconds; 0 for fewer than two
-        events."""
+        """Time from the earliest to the latest event, in microseconds.
+
+        0 for fewer than two events.
+        """
         totals = self._counted()
         return totals.newest_us - totals.earliest_us
 
@@ -318,8 +322,10 @@ def open_recording(
     topic: str | None = None,
     off_sensor: OffSensor | None = None,
 ) -> Recording:
-    """Open a recording. Its format is known by its suffix, or by its first bytes where the suffix
-    may mean several (`READERS`).
+    """Open a recording.
+
+    Its format is known by its suffix, or by its first bytes where the suffix may mean several
+    (`READERS`).
 
     Parameters
     ----------
@@ -408,7 +414,7 @@ def _check_path(path: Path) -> None:
 
 
 def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | None:
-    """(start, end) as Python integers; None stays None.
+    """The times start and end as Python integers; None stays None.
 
     Raises
     ------

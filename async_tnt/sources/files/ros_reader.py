@@ -126,7 +126,9 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
             for (name, kind), n in sorted(counts.items())
         ]
         connections = [
-            one for one in bag.connections if one.topic == wanted and one.msgtype in MESSAGE_TYPES
+            connection
+            for connection in bag.connections
+            if connection.topic == wanted and connection.msgtype in MESSAGE_TYPES
         ]
         messages = _messages(bag, connections, is_ros_1)
         first = next(messages, None)
@@ -162,11 +164,11 @@ def _open(path: str) -> tuple[Any, bool]:
 
 
 def _message_counts(connections: list[Any]) -> dict[tuple[str, str], int]:
-    """Name and type of each topic -> the number of its messages."""
+    """The number of messages of each topic, by its name and type."""
     counts: dict[tuple[str, str], int] = {}
-    for one in connections:
-        key = (one.topic, one.msgtype)
-        counts[key] = counts.get(key, 0) + one.msgcount
+    for connection in connections:
+        key = (connection.topic, connection.msgtype)
+        counts[key] = counts.get(key, 0) + connection.msgcount
     return counts
 
 
@@ -176,7 +178,7 @@ def _chosen_topic(counts: dict[tuple[str, str], int], topic: str | None) -> str:
     Parameters
     ----------
     counts : name and type of each topic -> the number of its messages.
-    topic : as for `read_bag`.
+    topic : see `read_bag`.
 
     Raises
     ------
@@ -308,7 +310,10 @@ class _Cursor:
 
 
 def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
-    """(width, height), None where they are not known. Reads a message up to and with its sides."""
+    """The sensor's sides (width, height); None where they are not known.
+
+    A message is read up to and with its sides.
+    """
     if cursor.is_ros_1:
         cursor.number("I")  # seq
     cursor.number("I")  # seconds and nanoseconds of the message

@@ -135,8 +135,10 @@ class TextSource(Source):
         line = self.line
         for text, ends_with_line in self._chunks(chunk_bytes):
             rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
-            # the last number of the file may have lost its last digits, a polarity has only one
-            is_complete = ends_with_line or self.columns[-1] in ("", "p") or not rows[-2]
+            # Where the file ends in the middle of a row, its last number may have lost digits. A
+            # polarity cannot lose any, as it has one digit.
+            needs_line_end = bool(rows[-2]) and self.columns[-1] not in ("", "p")
+            is_complete = ends_with_line or not needs_line_end
             n_good = len(rows) if is_complete else len(rows) - 2
             columns = self._columns(rows[:n_good])
             if columns is None:
@@ -273,7 +275,8 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
 
     Raises
     ------
-    ValueError : no such layout; or times are whole numbers, which may be seconds or microseconds.
+    ValueError : the file has another layout, or its times are whole numbers, which may be seconds
+        or microseconds.
     """
     all_rows = _first_rows(path)
     order = options.columns or UZH_ORDER
@@ -292,7 +295,9 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
                     f"{path}: the file ends in its first line, {text!r}: no events, and perhaps "
                     "no sensor"
                 )
-            start = end  # a line end, which the first row may begin with
+            # The row `width height` ends before its line end. The first row of events may begin
+            # with a line end, as blank lines are skipped.
+            start = end
             rows = rows[1:]
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
             raise ValueError(
@@ -360,8 +365,10 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
 
 
 def _header_in(comments: list[_Row], n_columns: int) -> list[str] | None:
-    """The columns that the last header among these comments names, such as `# x,y,p,t`; None
-    without one."""
+    """The columns that the last header in these comments names, such as `# x,y,p,t`.
+
+    None if no comment is a header.
+    """
     for row in reversed(comments):
         names = _names_in(row.text.lstrip("".join(COMMENTS)), n_columns)
         if _is_header(names):
@@ -427,7 +434,7 @@ def _numbers(rows: list[_Row], separator: str) -> np.ndarray | None:
         table = np.array(
             [[_polarity(word.strip(" \r\"'")) for word in words] for words in rows_of_words]
         )
-    except ValueError:  # not a number, or rows of different lengths
+    except ValueError:  # a word is not a number, or the rows have different lengths
         return None
     return table if table.ndim == 2 and table.shape[1] == 4 else None
 
@@ -448,7 +455,7 @@ def _checked_sides(path: Path, words: list[str], text: str) -> Sensor:
 
     Raises
     ------
-    ValueError : they are not the sides of a sensor; the message quotes the line's `text`.
+    ValueError : the words are not the sides of a sensor; the message quotes the line's `text`.
     """
     decimals = [word for word in words if word.strip().isdecimal()]
     sides = [int(word) for word in decimals if len(word) < 20]

@@ -159,8 +159,9 @@ def failure(error: BaseException) -> str:
 
 
 def neuromorphic_cameras(library: Any) -> list[FoundCamera]:
-    """The cameras that neuromorphic-drivers finds: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer
-    and others.
+    """The cameras that neuromorphic-drivers finds.
+
+    These are Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others.
 
     Parameters
     ----------

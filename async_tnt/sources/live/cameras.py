@@ -188,7 +188,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
 
     Raises
     ------
-    ValueError : no such kind of camera.
+    ValueError : there is no such kind of camera.
     OSError : no such camera is connected, or it cannot be opened; the message names the libraries
         that searched, and what to check.
     ImportError : no library is installed.

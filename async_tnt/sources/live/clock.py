@@ -18,8 +18,9 @@ from async_tnt.kernels.sources.clock import (
 
 
 class Clock:
-    """A filter that drops events whose time jumps, until eight consecutive packets agree that the
-    clock has moved.
+    """A filter that drops events whose time jumps.
+
+    It drops them until eight consecutive packets agree that the clock has moved.
 
     A processor relies on the events' own times: one time far ahead closes all its windows, and
     after a fall back all times come too late for them. The rule, for a packet that arrives when

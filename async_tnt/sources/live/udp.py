@@ -275,8 +275,10 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     # -- the end -----------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Stop listening and end every iteration, from any thread; counts stay. May be called
-        again."""
+        """Stop listening and end every iteration, from any thread; counts stay.
+
+        May be called again.
+        """
         self._closed = True
         self._wake_in.close()
         with self._reading:  # a thread that waited has been woken
@@ -298,7 +300,7 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
 
     Raises
     ------
-    ValueError : not such a URL; the message says what is wrong.
+    ValueError : the URL is not such a URL; the message says what is wrong.
     OSError : the address is not this machine's, or taken.
     """
     try:

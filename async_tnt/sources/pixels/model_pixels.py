@@ -66,7 +66,7 @@ class ModelPixels:
         Parameters
         ----------
         path, reading : arguments of `open_recording`.
-        name : of the recording, for messages; by default the path.
+        name : name of the recording in messages; by default its path.
 
         Raises
         ------
@@ -80,13 +80,13 @@ class ModelPixels:
 
         Parameters
         ----------
-        name : of the source, for messages; "" for none.
+        name : name of the source in messages; "" for none.
         found : (width, height) of its camera, before any event is left out, if it states them.
 
         Raises
         ------
-        ValueError : not the expected sensor, or an unknown one; the region or the mask does not fit
-            it.
+        ValueError : the sensor is not the expected one, or is unknown, or the region or the mask
+            does not fit it.
         """
         camera = self.expected or found
         if camera is None:
@@ -118,17 +118,19 @@ class ModelPixels:
             raise ValueError(f"{name}: {error}" if name else str(error)) from None
 
     def summary(self) -> str:
-        """What was left out of all sources so far, for people; "" if nothing came, or if nothing
-        could be left out."""
+        """What was left out of all sources so far, as a sentence for people.
+
+        It is "" if no event came, or if no event could be left out.
+        """
         counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
-        if not any(one.received for one in counts):
+        if not any(of_filter.received for of_filter in counts):
             return ""
         parts = []
         if self.pixels.roi is not None:
-            n_outside = sum(one.dropped_outside for one in counts)
+            n_outside = sum(of_filter.dropped_outside for of_filter in counts)
             parts.append(f"{n_outside:,} outside of the region")
         if self.pixels.mask is not None:
-            n_masked = sum(one.dropped_masked for one in counts)
+            n_masked = sum(of_filter.dropped_masked for of_filter in counts)
             parts.append(f"{n_masked:,} of masked pixels")
         return ", ".join(parts)
 

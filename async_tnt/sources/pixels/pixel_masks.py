@@ -26,7 +26,7 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 
     Raises
     ------
-    ValueError, TypeError : of another type or shape.
+    ValueError, TypeError : the mask has another type or shape.
     """
     if sensor is None:
         rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
@@ -46,8 +46,9 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 
 
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
-    """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events
-    are dropped.
+    """Read a mask that `save_mask` or `async-tnt mask` wrote.
+
+    The mask is bool, shape (H, W), True where events are dropped.
 
     Parameters
     ----------
@@ -74,8 +75,8 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
 
     Raises
     ------
-    ValueError : not a bool array of two dimensions, or another suffix.
-    OSError : not writable.
+    ValueError : the mask is not a bool array of two dimensions, or the path has another suffix.
+    OSError : the file cannot be written.
     """
     path = user_path(path)
     check_writable(path, (".npy",))
@@ -110,7 +111,7 @@ class PackedMask:
 
         Raises
         ------
-        ValueError, TypeError : not a bool array of shape (H, W).
+        ValueError, TypeError : the mask is not a bool array of shape (H, W).
         """
         height, width = checked_mask(mask).shape
         packed = zlib.compress(np.packbits(mask).tobytes())
@@ -121,7 +122,7 @@ class PackedMask:
 
         Raises
         ------
-        ValueError : it is not of this `sensor` (width, height).
+        ValueError : the mask is of another sensor than `sensor`, (width, height).
         """
         width, height = self.size
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)

@@ -75,13 +75,15 @@ class Pixels:
 
     @property
     def camera(self) -> Sensor | None:
-        """(width, height) of the camera, from `sensor` or the mask's size; None if the source must
-        state it."""
+        """The size of the camera, (width, height), from `sensor` or from the mask.
+
+        None if neither is given. Then the source must state its size.
+        """
         return self.sensor if self.mask is None else self.mask.size
 
     @property
     def region(self) -> Sensor | None:
-        """(width, height) of the region that becomes the sensor; None without `crop`."""
+        """The size (width, height) of the region that becomes the sensor; None without `crop`."""
         if self.roi is None or not self.crop:
             return None
         return self.roi[2], self.roi[3]
@@ -100,14 +102,13 @@ class Pixels:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Option -> value, short and for JSON, of all that decides which events count; {} for all
-        events.
+        """The options that decide which events count, by name, with short values for JSON.
 
-        Results of an evaluation contain it, so that results of different pixels are not mixed. So
-        does the record of a trained model.
+        The dict is empty if all events count. The results of an evaluation contain it, so that
+        results of different pixels are not mixed. The record of a trained model contains it, too.
 
-        With a mask, `sensor` could only repeat its size. Without one, `sensor` decides which
-        recordings are of this camera, so which ones have results and which have errors.
+        With a mask, `sensor` is left out, as it could only repeat the mask's size. Without one,
+        `sensor` decides which recordings are of this camera: the others have errors, no results.
         """
         options: dict[str, Any] = {}
         if self.roi is not None:

@@ -13,8 +13,9 @@ from async_tnt.sources.queues.queue import PacketQueue
 
 
 class BackgroundReader(PacketQueue):
-    """A `PacketQueue` that a daemon thread fills from a source; iterating it yields the packets in
-    order.
+    """A `PacketQueue` that a daemon thread fills from a source.
+
+    A loop over it gets the packets in order.
 
     Reading starts at once. An exception of the source is raised in the reader's loop, after the
     packets before it; the loop ends where the source ends. Use it as a context manager (`with` or
@@ -27,7 +28,7 @@ class BackgroundReader(PacketQueue):
     latest : what happens when the queue is full. False: the source is not read until there is room,
         so that nothing is lost. True: the oldest packets are discarded and their events counted, so
         that the delay stays bounded however slow the consumer is.
-    max_packets, max_delay_us, copy : as for `PacketQueue`.
+    max_packets, max_delay_us, copy : see `PacketQueue`.
     on_close : called by `close` to wake up a source that may wait forever for its next packet, such
         as the `close` of a camera or a socket.
 
@@ -74,8 +75,9 @@ class BackgroundReader(PacketQueue):
         self._thread.start()
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Discard waiting packets, end the loop over this reader, and stop the thread. May be
-        called again.
+        """Discard waiting packets, end the loop over this reader, and stop the thread.
+
+        May be called again.
 
         A thread that waits in the source stops at the source's next packet, unless `on_close` wakes
         it.

@@ -57,7 +57,7 @@ class KeepUp(BackgroundReader):
     processor : the `Processor` that receives the packets. Its `every_us` and `every_events` are
         changed here.
     max_delay_us : the longest that a packet may wait, in microseconds.
-    copy, on_close : as for `BackgroundReader`.
+    copy, on_close : see `BackgroundReader`.
 
     Attributes
     ----------

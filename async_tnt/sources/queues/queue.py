@@ -240,8 +240,10 @@ class PacketQueue:
 
     @property
     def delay_us(self) -> int:
-        """Microseconds from the arrival of the newest packet handed out until now; 0 before the
-        first."""
+        """Microseconds since the arrival of the newest packet that was handed out.
+
+        0 before the first packet.
+        """
         if self._newest_ns is None:
             return 0
         return (time.monotonic_ns() - self._newest_ns) // 1000

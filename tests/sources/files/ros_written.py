@@ -1,5 +1,6 @@
-"""Bags of ROS 1 and ROS 2, written and serialized by rosbags from the public definitions of their
-messages.
+"""Bags of ROS 1 and ROS 2.
+
+The package rosbags writes them from the public definitions of their messages.
 
 Nothing here is taken from the reader, which unpacks messages by itself.
 """
@@ -159,7 +160,8 @@ def libcaer_words(events):
         if x != column:
             column = x
             words.append(2 << 12 | x)
-        if i % 3 == 0:  # with base and vectors before it, which are empty
+        # Every third event has a base and empty vectors before it.
+        if i % 3 == 0:
             n_before = min(y // 8, 2)
             base = max(0, y - 8 * n_before - 7)
             words += [
@@ -179,7 +181,7 @@ def libcaer_bag(path, events, sensor):
             base_us = int(part["t"][0]) if len(part) else 0
             part = part.copy()
             part["t"] -= base_us
-            time_base = base_us * 1_000 + 999  # of which the microsecond counts
+            time_base = base_us * 1_000 + 999  # nanoseconds, which are rounded down
             bag.packet(libcaer_words(part), sensor, encoding="libcaer_cmp", time_base=time_base)
 
 

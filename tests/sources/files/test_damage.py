@@ -26,7 +26,7 @@ from async_tnt.sources.files.off_sensor import EventsOffSensor
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 
-CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))  # of each format
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))  # number of cases of each format
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
 SMALL = (34, 34)
 EVENTS = made_events(12, step_us=300, sensor=SMALL)
@@ -220,7 +220,7 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
             "as a bag of ROS 1, an SQLite or an MCAP file does, got b'.x89MCAP1",
         ),
         ("a.csv", b"%geometry:0,720\n1,2,1,7\n", "1 to 65536 pixels a side, got '%geometry:0,720'"),
-        # of these, the header is understood, but not one event
+        # In these files the header is understood, but no event is.
         (
             "a.csv",
             b"t,x,y,p\n5,1,2,hello\n6,1,2,1\n",
@@ -389,7 +389,7 @@ def aedat3_with_an_impossible_packet(k):
     ],
 )
 def test_the_byte_of_the_damage_is_named_wherever_it_is(tmp_path, name, make, k):
-    """However many blocks were read before it."""
+    """This holds however many blocks were read before it."""
     data, byte, n_before = make(k)
     (tmp_path / name).write_bytes(data)
     if n_before == 0:  # another format

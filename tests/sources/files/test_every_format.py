@@ -1,5 +1,7 @@
-"""Laws of every format: what its writer writes is read back, event for event, however it is cut
-into packets."""
+"""Laws of every format.
+
+What its writer writes is read back, event for event, however it is cut into packets.
+"""
 
 import os
 import struct
@@ -71,8 +73,10 @@ def test_events_are_read_back_in_any_packets_which_are_the_callers_own(
 
 @pytest.mark.parametrize("name", sorted(FORMATS))
 def test_every_bit_of_a_pixel_is_read(tmp_path, name):
-    """Events in all corners of the largest sensor that the format can say, and with one bit
-    alone."""
+    """Events in all corners of the largest sensor that the format can say.
+
+    Other events have one bit alone.
+    """
     width, height = FORMATS[name].largest
     events = made_events(300, sensor=(width, height))
     events["x"][:4] = [0, width - 1, 0, width - 1]
@@ -93,7 +97,10 @@ ORDERS = ["".join(order) for order in permutations("txyp")]
 
 @pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.txt", "blanks.txt", "a.npy", "a.npz"])
 def test_the_order_of_columns_without_names_can_be_stated(tmp_path, name):
-    """In every format that may have such columns; times between blanks are seconds."""
+    """This holds in every format that may have such columns.
+
+    Times between blanks are seconds.
+    """
     events = made_events(50)
     separator = {"a.csv": ",", "a.tsv": "\t", "a.txt": ";", "blanks.txt": " "}.get(name)
     for order in ORDERS:
@@ -112,7 +119,8 @@ def test_the_order_of_columns_without_names_can_be_stated(tmp_path, name):
         np.testing.assert_array_equal(
             open_recording(path, columns=order).read(), events, err_msg=order
         )
-        if order.index("x") > order.index("y"):  # of these two, nothing tells which is which
+        # Nothing tells x from y.
+        if order.index("x") > order.index("y"):
             continue
         if order != "txyp" and name != "blanks.txt":
             with pytest.raises(
@@ -140,8 +148,10 @@ DAVIS = [(346, 260), (240, 180), (208, 192), (640, 480)]
 
 @pytest.mark.parametrize("size", DAVIS)
 def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts(tmp_path, size):
-    """As v2e writes them. The addresses are not those of a DVS128, and a DVS128's are taken as they
-    are."""
+    """v2e writes such files.
+
+    The addresses are not those of a DVS128, and a DVS128's are taken as they are.
+    """
     path = tmp_path / "v2e.aedat"
     events = made_events(500, sensor=size)
     path.write_bytes(aedat2(events, size, "", size))
@@ -166,8 +176,10 @@ def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts
 
 
 def test_addresses_of_cameras_by_hand(tmp_path):
-    """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it
-    is as it is."""
+    """The address (50, 20) is 50 from the right and 20 from the bottom.
+
+    Where no camera is named, the address is taken as it is.
+    """
     of_davis = 20 << 22 | 50 << 12 | 1 << 11
     of_dvs128 = 20 << 8 | 50 << 1
     for chip, address, pixel in (
@@ -181,8 +193,8 @@ def test_addresses_of_cameras_by_hand(tmp_path):
             of_dvs128,
             (77, 107),
         ),
-        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # from outside, not of a pixel
-        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # of a frame
+        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # an event from outside
+        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # a sample of a frame
         ("", of_dvs128 | 1 << 15, None),
         ("", of_dvs128, (50, 20)),
     ):
@@ -233,7 +245,7 @@ def test_times_go_on_through_wraps_pauses_and_disorder(tmp_path, name, make, per
     late = late[1:]
     assert late["t"][0] < period_us < late["t"][-1]
     pauses = []
-    for start in (0.1, 0.3, 0.7):  # of less than half a period
+    for start in (0.1, 0.3, 0.7):  # each pause is shorter than half a period
         pauses.append(made_events(100, sensor=SMALL, step_us=50, start_us=int(start * period_us)))
         pauses[-1]["t"][50:] += int(0.45 * period_us)
     path = tmp_path / name
@@ -256,8 +268,10 @@ IN_BLOCKS = sorted(
 
 @pytest.mark.parametrize("name", IN_BLOCKS)
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
-    """The same events ten times over: a million different ones take longer to write than to
-    read."""
+    """The same events are repeated ten times.
+
+    A million different ones take longer to write than to read.
+    """
     path = tmp_path / name
     sensor = sensor_for(name)
     block = made_events(N_BLOCK, sensor=sensor, step_us=4)

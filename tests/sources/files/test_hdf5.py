@@ -1,5 +1,7 @@
-"""HDF5 files: layouts, compression, and where they may keep their events: in the file itself, in
-chunks."""
+"""HDF5 files: layouts and compression.
+
+Their events must be in the file itself, in chunks.
+"""
 
 import sys
 

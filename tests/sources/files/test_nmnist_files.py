@@ -15,8 +15,11 @@ OVERFLOW = bytes([49, 240, 0, 0, 100])
 
 
 def test_bytes_by_hand(tmp_path):
-    """0x012345 = 74565 us, OFF; then 0x7FFFFF us, the last time there is, ON: bit 7 beside bits 6-0
-    all set."""
+    """The first event is at 0x012345 = 74565 us, OFF.
+
+    The second one is at 0x7FFFFF us, the last time there is, ON. Its bits 7 and 6-0 are all
+    set.
+    """
     data = bytes([3, 33, 0x01, 0x23, 0x45, 33, 0, 0xFF, 0xFF, 0xFF])
     events = np.array([(74565, 3, 33, 0), (8_388_607, 33, 0, 1)], EVENT_DTYPE)
     write_nmnist(tmp_path / "a.bin", events)

@@ -1,5 +1,7 @@
-"""Recordings as `.npy` and `.npz`: their layouts, and headers that are accepted only as far as
-their bytes go."""
+"""Recordings as `.npy` and `.npz`, and their layouts.
+
+A header is accepted only as far as its bytes go.
+"""
 
 import tracemalloc
 import warnings

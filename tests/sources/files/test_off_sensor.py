@@ -1,5 +1,7 @@
-"""Events off the sensor are left out and counted, in every format; many of them are another
-sensor."""
+"""Events off the sensor are left out and counted, in every format.
+
+Many of them mean another sensor.
+"""
 
 import struct
 import warnings
@@ -145,8 +147,10 @@ def test_many_events_off_the_sensor_are_another_sensor(tmp_path, n, n_off, is_an
 def test_a_burst_of_strays_at_the_start_is_judged_by_all_events_and_a_later_flood_is_damage(
     tmp_path,
 ):
-    """Judged are the first 65,536 events together, before any is handed on, in a format of small
-    blocks, too."""
+    """The first 65,536 events are judged together, before any of them is handed on.
+
+    This also holds in a format of small blocks.
+    """
     events = made_events(150_000, sensor=(34, 34), step_us=4)
     events["x"][:300] = 34
     for name in ("caer.aedat", "records.npy"):

@@ -69,7 +69,8 @@ VECTOR8 = 0x5001
         # before their row, time or base, events are left out
         ([HIGH, X5, ROW, X5], [(4096, 5, 9, 0)]),
         ([HIGH, ROW, VECTOR12, VECTOR8, BASE7, VECTOR12], [(4096, 7, 9, 0)]),
-        ([HIGH, BASE7, VECTOR12, ROW, VECTOR12], [(4096, 19, 9, 0)]),  # but the base moves on
+        # The first vector has no row. It is left out, but it moves the base on.
+        ([HIGH, BASE7, VECTOR12, ROW, VECTOR12], [(4096, 19, 9, 0)]),
         ([ROW, BASE7 | 0x800, VECTOR8, HIGH, VECTOR12], [(4096, 15, 9, 1)]),
         ([HIGH, 0x0809, X5], [(4096, 5, 9, 0)]),  # bit 11 of a row says which of two cameras
         # cameras repeat TIME_HIGH, which keeps the lower half
@@ -83,7 +84,8 @@ VECTOR8 = 0x5001
             [0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5],
             [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)],
         ),
-        ([0x8005, ROW, X5, 0x8000, X5], [(5 << 12, 5, 9, 0), (0, 5, 9, 0)]),  # to the beginning
+        # The time goes back to the beginning.
+        ([0x8005, ROW, X5, 0x8000, X5], [(5 << 12, 5, 9, 0), (0, 5, 9, 0)]),
         # a long pause
         ([HIGH, ROW, X5, 0x8000 | 3000, X5], [(4096, 5, 9, 0), (3000 << 12, 5, 9, 0)]),
         # half a period
@@ -96,7 +98,7 @@ VECTOR8 = 0x5001
         ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),
         ([HIGH, ROW, 0x3000 | 2036, 0x4800], [(4096, 2047, 9, 0)]),  # the last column
         ([HIGH, ROW, 0x3000 | 2037, 0x4800], [(4096, 2048, 9, 0)]),  # beyond it
-        # not back to column 0
+        # The columns do not start again at 0.
         ([HIGH, ROW, 0x3000 | 2047, *(5_400 * [0x4000]), 0x4001], [(4096, 65_535, 9, 0)]),
     ],
 )
@@ -117,8 +119,11 @@ def test_evt2_by_hand(decoded):
 
 
 def test_evt21_by_hand(decoded):
-    """A word has 32 pixels: bits 0, 2 and 31 from x = 64, and up to the last column; none before
-    the first time."""
+    """A word has 32 pixels.
+
+    Here it has bits 0, 2 and 31 from x = 64 on, and pixels up to the last column. There is no
+    event before the first time.
+    """
     high = 0x80000001 << 32
     pixels = (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101
     assert decoded("2.1", [pixels, high, pixels]) == [(69, x, 9, 1) for x in (64, 66, 95)]

@@ -1,5 +1,7 @@
-"""A summary says what all events together say, whatever the format and however long the recording
-is."""
+"""A summary says what all events together say.
+
+This holds for any format, and however long the recording is.
+"""
 
 import numpy as np
 import pytest

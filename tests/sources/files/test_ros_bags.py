@@ -1,5 +1,7 @@
-"""Bags of ROS: messages by hand, which topic is read, what is refused. The laws of all formats hold
-for them, too."""
+"""Bags of ROS: messages by hand, which topic is read, what is refused.
+
+The laws of all formats hold for them, too.
+"""
 
 import numpy as np
 import pytest
@@ -20,8 +22,10 @@ every_bag = pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
 
 
 def plainly_decoded(words):
-    """The events of EVT3, word by word as its description has it, in a stream that begins with its
-    time and row."""
+    """The events of EVT3, word by word as its description says.
+
+    The stream begins with its time and row.
+    """
     events = []
     overflows = 0
     high = 0
@@ -74,8 +78,10 @@ def test_messages_by_hand(tmp_path, name):
 
 
 def test_a_topic_may_have_thousands_of_messages_and_change_its_encoding(tmp_path):
-    """Most without events; the words of EVT3 go on behind them, whatever they are sent together
-    with."""
+    """Most messages have no events.
+
+    The words of EVT3 go on from message to message, whatever messages come between them.
+    """
     with Bag(tmp_path / "a.mcap") as bag:
         bag.packet(WORDS[:3], SENSOR)
         for _ in range(2_500):
@@ -202,7 +208,10 @@ def test_a_bag_without_events_is_refused_and_its_topics_are_listed(tmp_path, nam
     ],
 )
 def test_messages_up_to_one_that_cannot_be_read(tmp_path, name, how, message):
-    """If it is the first, no event can be read; a sensor of its own is then no fault."""
+    """If it is the first message, no event can be read.
+
+    A message with a sensor of its own is then no fault.
+    """
     how = {"sensor": SENSOR, "words": WORDS} | how
     with Bag(tmp_path / name) as bag:
         bag.packet(WORDS, SENSOR)
@@ -269,8 +278,10 @@ def test_a_sensor_of_no_pixels_is_one_that_is_not_stated(tmp_path, name):
 
 @every_bag
 def test_compressed_bags(tmp_path, name):
-    """Chunks of ROS 1; of ROS 2 each message, as `ros2 bag record` does, and the file has no
-    metadata beside it."""
+    """Bags are compressed as `ros2 bag record` does, without metadata beside the file.
+
+    ROS 1 compresses chunks, and ROS 2 compresses each message.
+    """
     with Bag(tmp_path / name, compressed=True) as bag:
         for part in np.split(EVENTS, 4):
             bag.array(part, SENSOR)

@@ -1,5 +1,7 @@
-"""Files that are read in a worker process: what happens if the library is missing, crashes, hangs
-or lies."""
+"""Files that are read in a worker process.
+
+The tests say what happens if the library is missing, crashes, hangs or lies.
+"""
 
 import os
 import time
@@ -15,8 +17,10 @@ from async_tnt.sources.files.worker_source import WorkerSource
 
 
 def misbehaving(path):
-    """A reader as libraries are with damaged files. The file has two words: what to do to this
-    process before, and what after the sensor and two events.
+    """A reader as libraries are with damaged files.
+
+    The file has two words: what to do to this process before, and what after the sensor and two
+    events.
     """
     with open(path) as file:
         first, later = file.read().split()
@@ -104,13 +108,14 @@ def test_files_are_read_as_often_as_asked_at_once_and_after_damage(tmp_path):
     assert [[len(packet) for packet in packets] for packets in zip(*recordings, strict=True)] == [
         [50] * 3
     ]
-    next(recordings[0].source.blocks())  # not to its end
+    # This file is not read to its end.
+    next(recordings[0].source.blocks())
     np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
     paths[2].write_bytes(paths[0].read_bytes()[:100])
     with pytest.raises(ValueError, match=r"2.aedat4: not a readable AEDAT4 file"):
         open_recording(paths[2])
     recordings[0].read()
     kept = worker_source._idle[os.getpid()]
-    kept._process.kill()  # as a system without memory does
+    kept._process.kill()  # a system without memory kills processes, too
     kept._process.wait()
     np.testing.assert_array_equal(recordings[1].read(), made_events(50, seed=1))

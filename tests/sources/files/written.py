@@ -1,5 +1,6 @@
-"""Files of events in each format, written from the formats' public descriptions, or by NumPy, faery
-and h5py.
+"""Files of events in each format.
+
+They are written from the formats' public descriptions, or by NumPy, faery and h5py.
 
 Nothing here is taken from the readers: no test would see a mistake that both sides share.
 """
@@ -124,8 +125,9 @@ def es(events, sensor=SENSOR):
 
 
 def aedat2(events, sensor, chip, davis=None):
-    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a
-    pixel's.
+    """Write a file of a DVS128 that states no camera, or of a DAVIS.
+
+    Between every two events there is one that is not a pixel's.
 
     With `davis`, a size, the addresses are those of a DAVIS of these pixels, which the header need
     not name.
@@ -146,8 +148,10 @@ def aedat2(events, sensor, chip, davis=None):
 
 
 def aedat3(events, sensor=(240, 180)):
-    """Packets of five polarity events (or a tenth of all) and one that is not valid; between them,
-    special events."""
+    """Write packets of five polarity events (or a tenth of all) and one that is not valid.
+
+    Between these packets there are special events.
+    """
     out = [
         f"#!AER-DAT3.1\r\n#{ANY_TEXT}\r\n".encode() + b"#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"
     ]
@@ -179,7 +183,7 @@ def nmnist(events, sensor=(34, 34)):
 
 
 def by_faery(path, events, sensor=SENSOR):
-    """In the format of the suffix."""
+    """Write events by faery, in the format of the suffix."""
     faery = pytest.importorskip("faery", reason="AEDAT4 needs faery")
     theirs = np.empty(len(events), faery.EVENTS_DTYPE)
     for name, ours in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
@@ -207,7 +211,7 @@ def metavision(path, events, sensor=SENSOR, **how):
 
 
 def rvt(path, events, sensor=SENSOR, **how):
-    """As DSEC's without an offset, and with the sides of the sensor beside the columns."""
+    """Write DSEC's layout without an offset, and with the sensor's sides beside the columns."""
     dsec(path, events, sensor, **how)
     import h5py
 
