@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import shlex
 from collections.abc import Callable, Collection
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
+from async_tnt.streaming.triggers import TriggerSettings
 from async_tnt.volume.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
 
 SAMPLES = Path("samples")
@@ -234,7 +236,7 @@ def add_triggers(parser: argparse.ArgumentParser) -> None:
 
 def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
     """The options of `add_triggers` as keyword arguments of `Processor`."""
-    return {name: getattr(args, name) for name in ("every_us", "every_events", "confidence")}
+    return {field.name: getattr(args, field.name) for field in fields(TriggerSettings)}
 
 
 # -- numbers and sizes: argparse types ------------------------------------------------------------

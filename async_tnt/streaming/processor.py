@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 
 from async_tnt.base.checks import Method, ParameterValueError, Running, one_at_a_time, short
-from async_tnt.kernels.decisions.trigger import NOT_DUE, until_due, why_due
+from async_tnt.kernels.decisions.trigger import NOT_DUE, ONLY_IF_SURE, until_due, why_due
 from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.networks.models.model import Model
@@ -151,7 +151,9 @@ class Processor(TriggerAttributes):
             config, networks.classifier, networks.classes, confidence
         )
         self._running = Running("Processor")
-        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
+        self._triggers = Triggers(
+            TriggerSettings(every_us=every_us, every_events=every_events, confidence=confidence)
+        )
         warn_if_never_due(self._triggers.settings, config)
         self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
         self._accepts_late = late == "accept"
@@ -390,8 +392,7 @@ class Processor(TriggerAttributes):
         decision = self._classifier.decide(
             oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
         )
-        # no trigger: it would have been made only if the class were sure
-        return [decision] if decision.trigger else []
+        return [decision] if why != ONLY_IF_SURE or decision.complete else []
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
         """Let time pass to `t_us`: `every_us` fires, windows close and open on the way."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -40,11 +40,14 @@ class TriggerSettings:
     confidence: float | None = None
 
     def __post_init__(self) -> None:
-        for name, check in _CHECKS.items():
-            value = getattr(self, name)
-            if value is not None:
-                # frozen: a plain assignment is refused
-                object.__setattr__(self, name, check(name, value))
+        for name, value in self._given().items():
+            # frozen: a plain assignment is refused
+            object.__setattr__(self, name, _CHECKS[name](name, value))
+
+    def _given(self) -> dict[str, Any]:
+        """Name -> value of each trigger that is set."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def by_event(self) -> bool:
@@ -54,7 +57,7 @@ class TriggerSettings:
     @property
     def each_event(self) -> bool:
         """Whether `confidence` is checked after every event, as no other trigger is set."""
-        return self.confidence is not None and self.every_us is None and self.every_events is None
+        return self._given().keys() == {"confidence"}
 
 
 def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: int = 3) -> None:
@@ -139,7 +142,7 @@ class Triggers:
 
 
 class TriggerAttributes:
-    """The three triggers as attributes of a `Processor`, which may change between calls."""
+    """The triggers as attributes of a `Processor`, which may change between calls."""
 
     # `Processor` has slots, too
     __slots__ = ()

@@ -26,9 +26,8 @@ from async_tnt.volume.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
 
-TRIGGER_NAMES: dict[int, Any] = {
-    # decided BY_CONFIDENCE, or not at all
-    T.ONLY_IF_SURE: "",
+TRIGGER_NAMES: dict[int, Trigger] = {
+    T.ONLY_IF_SURE: "confidence",
     T.BY_EVENTS: "every_events",
     T.BY_CONFIDENCE: "confidence",
     T.BY_TIME: "every_us",
@@ -298,6 +297,7 @@ class WindowClassifier:
         absorbed = first
         end = FULL
         while end == FULL:
+            # room for most packets' decisions; where it is full, another call goes on
             n_rows = last - absorbed
             if every_events:
                 n_rows = n_rows // every_events + 1

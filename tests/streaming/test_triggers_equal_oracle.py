@@ -2,7 +2,7 @@
 
 import copy
 import itertools
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from unittest import mock
 
@@ -15,6 +15,7 @@ from made import events_of, nasty_streams, random_events, random_model
 from oracles import Oracle, as_values
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
+from async_tnt.streaming.triggers import TriggerSettings
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:.* it never makes a decision due", "ignore:times went back"
@@ -137,6 +138,11 @@ def check(events, way, windows, triggers, steps) -> None:
     assert_equal(oracle, processor, decisions, expected)
 
 
+def test_every_trigger_is_drawn_and_combined():
+    names = {field.name for field in fields(TriggerSettings)}
+    assert TRIGGERS.keys() == COMBINED.keys() == names
+
+
 def with_stragglers(seed: int, n: int = 700) -> np.ndarray:
     """A dense stream with events of earlier windows, also from before pauses of windows."""
     rng = np.random.default_rng(seed)
@@ -149,9 +155,11 @@ def with_stragglers(seed: int, n: int = 700) -> np.ndarray:
 
 
 HOPS = None, 500, 130
-MOMENTS = None, 200
-EACH_SO_MANY = None, 1, 3
-LEVELS = None, 0.5, 0.9
+COMBINED = {
+    "every_us": (None, 200),
+    "every_events": (None, 1, 3),
+    "confidence": (None, 0.5, 0.9),
+}
 OF_A_DURATION = {
     "callable": (CONFIG, "callable"),
     "callable, replayed": (REPLAYED, "callable"),
@@ -175,10 +183,8 @@ def test_every_combination_of_triggers_on_a_stream_with_stragglers(way, hop_us):
     Where possible, one packet is decided in one compiled call.
     """
     dropped = np.zeros(2, int)
-    for seed, (every_us, every_events, confidence) in enumerate(
-        itertools.product(MOMENTS, EACH_SO_MANY, LEVELS)
-    ):
-        triggers = {"every_us": every_us, "every_events": every_events, "confidence": confidence}
+    for seed, values in enumerate(itertools.product(*COMBINED.values())):
+        triggers = dict(zip(COMBINED, values, strict=True))
         events = with_stragglers(seed)
         oracle, whole = pair(*way, hop_us=hop_us, **triggers)
         _, cut = pair(*way, hop_us=hop_us, **triggers)

@@ -51,7 +51,7 @@ def until_due(trigger, n, first, last):
 
 @compiled
 def why_due(trigger, n_before, n):
-    """Why a decision is due: the one rule for it.
+    """Why a decision is due: the one rule for it. One decision at most is made at an event.
 
     Parameters
     ----------
