@@ -63,6 +63,54 @@ def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large,
         compare(network, partial(network, large=large, small=small), (2, 6, 5))
 
 
+@pytest.mark.parametrize(
+    ("numbers", "difference", "is_same"),
+    [
+        # a hundredth of the largest number of all volumes counts: 1e-4 of 1
+        ((100, 1e-3), 5e-5, True),
+        ((100, 1e-3), 2e-4, False),
+        # and 0.01 in any case
+        ((1e-3, 1e-3), 5e-7, True),
+        ((1e-3, 1e-3), 5e-6, False),
+        ((np.nan, np.nan), 0, True),
+    ],
+)
+def test_numbers_that_make_no_difference_to_a_softmax_may_differ_more(numbers, difference, is_same):
+    """The network gives the first number for a volume of large numbers, the second for others."""
+
+    def network(volume, difference=0.0):
+        is_large = np.abs(volume).max() > 50
+        return np.array([numbers[0] if is_large else numbers[1] + difference])
+
+    expected = nullcontext()
+    if not is_same:
+        expected = pytest.raises(ValueError, match="its layers compute other numbers")
+    with expected:
+        compare(network, partial(network, difference=difference), (2, 6, 5))
+
+
+@pytest.mark.parametrize(
+    "shows",
+    [
+        lambda v: not v.any(),
+        lambda v: v.max() < 0,
+        lambda v: np.abs(v).max() >= 100,
+        lambda v: (v[:, :2, :2] > 0).any() and not v[:, 4:].any() and not v[..., 4:].any(),
+        lambda v: v.min() < 0 < v.max() and (v != np.rint(v)).any(),
+    ],
+    ids=["zeros", "negative", "large", "dense in a corner", "any numbers"],
+)
+def test_a_difference_that_one_kind_of_volume_shows_is_found(shows):
+    def network(volume):
+        return np.ones(3)
+
+    def other(volume):
+        return np.full(3, 2.0 if shows(volume) else 1.0)
+
+    with pytest.raises(ValueError, match="its layers compute other numbers"):
+        compare(network, other, (2, 6, 5))
+
+
 # -- the command -----------------------------------------------------------------------------------
 
 

@@ -144,6 +144,14 @@ def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
     )
 
 
+def test_a_file_holds_float32(tmp_path):
+    """Numbers of another precision are no model's of this package."""
+    weights = changed(fc1__bias=np.zeros(4, np.float64))
+    path = write_file(tmp_path / "m", weights)
+    with pytest.raises(ValueError, match=r"`fc1\.bias` must be float32, got float64$"):
+        load_model(path)
+
+
 def test_exactly_the_arrays_of_the_network(tmp_path):
     """Those of a landmark network where the landmark needs one, and only there."""
     path = tmp_path / "m"
