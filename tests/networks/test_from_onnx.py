@@ -374,7 +374,9 @@ def test_onnxruntime_takes_the_class_names_of_a_configuration(tmp_path, config_f
         with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
             engine_of(*classes)
     for classes in ([], ["a", "a"], [1, "1"]):
-        with pytest.raises(ValueError, match="net.json: .*`classes` must be different names, got"):
+        with pytest.raises(
+            ValueError, match=r"net\.json: .*`classes` must be different names, got"
+        ):
             engine_of(*classes)
 
 
