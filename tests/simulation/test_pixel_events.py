@@ -221,6 +221,16 @@ def test_thresholds_of_on_and_off_differ_from_pixel_to_pixel_independently():
     assert abs(np.corrcoef(on, off)[0, 1]) < 0.15
 
 
+def test_events_of_one_moment_come_row_by_row():
+    """All events of 4 x 5 pixels within 2 us: sorted by time, then row, then column."""
+    pixels = PixelModel(refractory_us=0.0, noise_hz=0.0)
+    rise = np.array([0.0, 3.0])[:, None, None] + np.zeros((4, 5))
+    events = simulate(rise, np.array([0, 2]), np.random.default_rng(0), pixels)
+    rows = events[["t", "y", "x"]].tolist()
+    assert len(rows) > 200
+    assert rows == sorted(rows)
+
+
 def test_no_threshold_is_below_the_least():
     """Of pixels that differ much: a thousandth, so that a rise by 1 gives at most 1,000 events."""
     pixels = PixelModel(1e-3, 1e-3, mismatch=1.0, refractory_us=0.0, noise_hz=0.0)
