@@ -11,8 +11,10 @@ from functools import partial
 import numpy as np
 import pytest
 from made import random_model, random_regressor_model
+from networks.foreign import onnx
+from torch import nn
 
-from async_tnt import CompiledClassifier, load_model
+from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import to_onnx
 from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.onnx import export as onnx_export
@@ -142,6 +144,30 @@ def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatc
         "nothing is written: its layers compute other numbers (by 0.1, where the largest is" in text
     )
     assert os.listdir(tmp_path) == ["m.onnx"] and out.read_bytes() == b"what was there"
+    code, text, _ = program("export", "digits", "--out", out, "--json")
+    report = json.loads(text)
+    assert (code, report["agrees"], report["files"]) == (1, False, {})
+    assert report["difference"].startswith("its layers compute other numbers (by 0.1, ")
+
+
+@pytest.mark.parametrize(
+    "layers, shape",
+    [
+        ([nn.Conv2d(1, 4, 1)], (1, 4, 6, 5)),  # a map of three classes and nothing
+        ([nn.AdaptiveAvgPool2d(1), nn.Conv2d(1, 3, 1)], (1, 3)),  # logits (3, 1, 1)
+    ],
+    ids=["a map", "one place"],
+)
+def test_the_shape_of_the_output_is_told_as_it_is_in_the_file(layers, shape, tmp_path, program):
+    config = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=1, transform="none", landmark="center")
+    model = Model.from_torch(nn.Sequential(*layers), config, ["a", "b", "c"])
+    path = model.save(tmp_path / "m.safetensors")
+    out = tmp_path / "m.onnx"
+    code, text, _ = program("export", path, "--out", out)
+    assert code == 0
+    assert f"volume (1, 1, 6, 5) -> logits {shape}\n" in text
+    (output,) = onnx.load(out).graph.output
+    assert tuple(side.dim_value for side in output.type.tensor_type.shape.dim) == shape
 
 
 def test_wrong_arguments_give_one_line(tmp_path, program):

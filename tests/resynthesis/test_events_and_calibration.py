@@ -10,6 +10,7 @@ from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels, is_after_pulse, measure_pixels
+from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.volume.events import EVENT_DTYPE
@@ -258,8 +259,20 @@ def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
     windows, reconstruction, calibration = calibrated
     ((_, image),) = reconstruction(windows[:1], calibration.pixels.measured)
     whole = image.as_recorded(calibration.pixels, np.random.default_rng(0))
-    monkeypatch.setattr("async_tnt.simulation.periodic_image.MOST_VALUES", 52 * 34 * 5)
+    most = 52 * 34 * 5
+    monkeypatch.setattr("async_tnt.simulation.periodic_image.MOST_VALUES", most)
+    frames = PeriodicImage.frames
+    sizes = []
+
+    def noting(*given):
+        made = frames(*given)
+        sizes.append(made.size)
+        return made
+
+    monkeypatch.setattr(PeriodicImage, "frames", noting)
     bands = image.as_recorded(calibration.pixels, np.random.default_rng(0))
+    assert max(sizes) <= most
+    assert sum(sizes) == 52 * 34 * 34
     assert (np.diff(bands["t"]) >= 0).all() and len(bands) == pytest.approx(len(whole), rel=0.1)
     rows = [np.bincount(events["y"], minlength=34) for events in (whole, bands)]
     assert np.corrcoef(*rows)[0, 1] > 0.97

@@ -159,3 +159,135 @@ def test_after_an_error_the_file_holds_what_came_before(tmp_path):
     with pytest.raises(RuntimeError, match="no answer"):
         view_of(tmp_path, [EVENTS], CONFIG, classifier=fails_later)
     assert not (tmp_path / "a.rrd.part").exists()
+
+
+def test_decisions_that_are_left_out_are_counted_once(tmp_path):
+    """Before the first of the twenty that are written. Only those that close a window are
+    information for everyone; the others are details."""
+    events = events_of(range(1_000, 1_100), [5] * 100, [5] * 100, [1] * 100)
+    rrd, decisions = view_of(tmp_path, [events], every_events=1)
+    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    levels = [level for _, (level,) in rrd.series(log.DECISIONS, "TextLog:level")]
+    # the last one, of the stream's end, comes after the last picture
+    assert len(decisions) == 101 and len(lines) == 21
+    assert [line.endswith("(80 decisions before it are not shown)") for line in lines] == [
+        True,
+        *[False] * 20,
+    ]
+    assert levels == ["TRACE"] * 20 + ["INFO"]
+
+
+def test_the_decision_that_closes_a_window_is_information(tmp_path):
+    events = events_of([0, 10, 60_000], [5, 6, 7], [5, 5, 5], [1, 0, 1])
+    rrd, decisions = view_of(tmp_path, [events], every_events=2)
+    levels = [level for _, (level,) in rrd.series(log.DECISIONS, "TextLog:level")]
+    assert [d.trigger for d in decisions] == ["every_events", "window", "end"]
+    assert levels == ["TRACE", "INFO", "INFO"]
+
+
+OBJECTS = CONFIG.replace(
+    grid=(40, 30), transform="none", landmark="center", polarity="unsigned", bins=1
+)
+
+
+def show_objects(tmp_path, maps, classes=("a", "b")):
+    """A view of one event every 20 ms, at each of which the next of these maps is answered."""
+    shown = iter(maps)
+    current = []
+
+    def classifier(volume):
+        if volume.sum() > len(current):
+            current.append(next(shown))
+        return current[-1] if current else np.zeros_like(maps[0])
+
+    n = len(maps)
+    events = events_of([1 + 9_000 * k for k in range(n)], [5] * n, [5] * n, [1] * n)
+    settings = {"classifier": classifier, "classes": list(classes), "start_us": 0}
+    rrd, _ = view_of(tmp_path, [events], OBJECTS, picture_us=9_000, **settings)
+    return rrd
+
+
+def test_objects_are_shown_where_they_are_until_they_are_gone(tmp_path):
+    """Places of 10 x 10 pixels. The plot has the likeliest object of each class, and 0 for a class
+    without one."""
+    one = np.zeros((3, 3, 4), np.float32)
+    one[2] = 1.0  # nothing
+    one[0, 0, 3] = 4.0
+    one[0, 2, 0] = 3.0
+    none = np.zeros((3, 3, 4), np.float32)
+    none[2] = 1.0
+    rrd = show_objects(tmp_path, [one, none])
+    (_, first), (_, last) = (
+        rrd.series(log.OBJECTS, "Points2D:positions")[0],
+        rrd.series(log.OBJECTS, "Points2D:positions")[-1],
+    )
+    e = np.exp
+    likelier = e(4) / (e(4) + e(1) + 1)
+    other = e(3) / (e(3) + e(1) + 1)
+    assert first == [pytest.approx([35, 5]), pytest.approx([5, 25])]
+    assert last == []
+    (_, labels) = rrd.series(log.OBJECTS, "Points2D:labels")[0]
+    assert labels == [f"a {likelier:.2f}", f"a {other:.2f}"]
+    plotted = [values for _, values in rrd.series(log.PROBABILITIES, "Scalars:scalars")]
+    assert plotted[0] == pytest.approx([likelier, 0])
+    assert plotted[-1] == [0, 0]
+    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    assert lines[-1].startswith("nothing  0.000  end: 2 events, ")
+
+
+def test_a_window_without_events_has_neither_landmark_nor_probabilities(tmp_path):
+    """After the first event, which is enough for a decision, the next window begins."""
+    events = events_of([0, 30_000], [5, 6], [5, 5], [1, 0])
+    rrd, decisions = view_of(tmp_path, [events], confidence=1e-9, picture_us=20_000)
+    assert [d.trigger for d in decisions] == ["confidence"]
+    assert rrd.series(log.LANDMARK, "Points2D:positions") == [(20_000, []), (30_001, [])]
+    assert rrd.times(log.PROBABILITIES) == [0]  # of the decision itself
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"connect": "rerun+http://127.0.0.1:1/proxy"}, "`out` writes a file and .* give one of"),
+        ({"picture_us": 0}, "`picture_us` must be at least 1, got 0"),
+    ],
+)
+def test_settings_that_cannot_be_shown(tmp_path, settings, message):
+    with pytest.raises(ValueError, match=message):
+        RerunView(MODEL, out=tmp_path / "a.rrd", **settings)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_windows_of_events_cannot_be_shown(tmp_path):
+    config = TNTConfig(sensor=(40, 30), grid=(20, 24), window_events=500, bins=4)
+    with pytest.raises(ValueError, match=r"can be viewed, but not of 500 events$"):
+        RerunView(random_model(config), out=tmp_path / "a.rrd")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_packet_with_a_late_event_is_refused_as_a_whole(tmp_path):
+    """Also its first part, which a picture would separate from the second."""
+    late = events_of([30_000, 60_000, 5], [5, 6, 7], [5, 5, 5], [1, 0, 1])
+    with RerunView(MODEL, out=tmp_path / "a.rrd", late="raise", picture_us=20_000) as view:
+        view.push(events_of([10], [3], [3], [1]))
+        with pytest.raises(ValueError, match="`t`|late"):
+            view.push(late)
+        assert view.processor.counts.received == 1
+        assert len(view.push(late[:2])) == 1
+
+
+def test_the_events_of_closed_windows_are_forgotten(tmp_path):
+    """However long the stream is."""
+    with RerunView(MODEL, out=tmp_path / "a.rrd", picture_us=10_000) as view:
+        for start_us in range(0, 1_000_000, 50_000):
+            view.push(random_events(200, duration_us=50_000, sensor=(40, 30), start_us=start_us))
+            held = sum(len(part) for part in view._recent)
+            assert held <= 2 * 200
+
+
+def test_the_last_picture_of_a_live_stream_is_drawn(tmp_path):
+    """Though pictures before it are left out, as they come faster than they can be drawn."""
+    rrd, _ = view_of(tmp_path, np.array_split(EVENTS, 40), picture_us=500, live=True)
+    times = rrd.times(log.EVENTS)
+    whole, _ = view_of(tmp_path, np.array_split(EVENTS, 40), picture_us=500)
+    assert times[-1] == int(EVENTS["t"][-1]) + 1
+    assert len(times) < len(whole.times(log.EVENTS)) > 300
