@@ -13,7 +13,8 @@ from tnt_reference import LayerNetwork
 from torch import nn
 from torch.nn import functional as F
 
-from async_tnt import CompiledClassifier, Model, load_model
+from async_tnt import CompiledClassifier, CompiledRegressor, Model, load_model
+from async_tnt.networks.torch.operations import HeatmapCentroid
 
 WAY_OUT = (
     "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
@@ -324,3 +325,50 @@ def test_what_is_no_module_is_a_type_error(value):
         TypeError, match=f"^`module` must be a torch.nn.Module, got {type(value).__name__}"
     ):
         model_of(value)
+
+
+# -- a landmark network beside the classifier ------------------------------------------------------
+
+WITH_LANDMARK = CONFIG.replace(landmark="regressor")
+
+
+def finder(*layers):
+    return nn.Sequential(nn.Conv2d(3, 1, 1), *layers, HeatmapCentroid())
+
+
+class Part(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.regressor = nn.ModuleList([nn.Conv2d(3, 4, 1)])
+
+    def forward(self, volume):
+        return self.regressor[0](volume).mean((2, 3))
+
+
+def test_weights_of_both_networks_are_kept_apart():
+    """Although a part of the classifier is named as the landmark network is, with a part "0"."""
+    decides = Part()
+    finds = finder()
+    model = Model.from_torch(decides, WITH_LANDMARK, list("abcd"), regressor=finds)
+    assert len(model.weights) == 4
+    found = [CompiledClassifier(model)(volume) for volume in VOLUMES]
+    assert np.abs(found - logits_of(decides)).max() <= 1e-5
+    landmarks = [CompiledRegressor(model)(volume) for volume in VOLUMES]
+    np.testing.assert_allclose(landmarks, logits_of(finds), atol=1e-4)
+
+
+class Forgets(nn.Module):
+    """Another function after its fourth call."""
+
+    n_calls = 0
+
+    def forward(self, x):
+        self.n_calls += 1
+        return torch.relu(x) if self.n_calls > 4 else 1.0 * x
+
+
+def test_a_landmark_network_that_is_more_than_its_layers_is_refused():
+    finds = finder()
+    finds.insert(1, Forgets())
+    with pytest.raises(NotImplementedError, match="its layers compute other numbers"):
+        Model.from_torch(Part(), WITH_LANDMARK, list("abcd"), regressor=finds)

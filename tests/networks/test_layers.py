@@ -186,6 +186,27 @@ def test_limits_may_be_infinite():
     assert layer_shapes(layers, (4, 6, 5), {})["clip 0"] == (4, 6, 5)
 
 
+@pytest.mark.parametrize(("variance", "epsilon"), [(0.0, 0.0), (-0.5, 0.5), (-1.0, 0.5)])
+def test_a_batch_norm_never_divides_by_zero(variance, epsilon):
+    """A channel of several."""
+    weights = {"mean": np.zeros(3), "variance": np.array([1.0, variance, 1.0])}
+    layers = chain(
+        ("batch_norm", {"epsilon": epsilon, "weights": {role: role for role in weights}}),
+        ("global_average_pool", {}),
+    )
+    message = r"^layer 'batch_norm 0' \(batch_norm\): variance \+ epsilon must be positive$"
+    with pytest.raises(ValueError, match=message):
+        Model(SMALL.replace(bins=3), weights, list("abc"), network={"classifier": layers})
+
+
+def test_a_classifier_is_no_landmark_network():
+    """Although its two numbers would do for two classes."""
+    network = {"classifier": chain(("heatmap_centroid", {}))}
+    message = "a heatmap_centroid must be the last layer of a regressor, and nowhere else"
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        Model(SMALL.replace(bins=1), {}, ["a", "b"], network=network)
+
+
 BATCH_NORM = ("mean", "variance", "weight", "bias")
 
 
@@ -342,6 +363,28 @@ def test_small_networks_by_hand():
             network={"classifier": layers},
         )
         assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
+
+
+def test_sums_of_maps_that_other_sums_widen():
+    """A sum is listed before the one by which its second map gets the frame of the third, which a
+    convolution reads beyond its border."""
+    maps = [{**chain(conv(weight=f"w{k}"))[0], "name": name} for k, name in enumerate("abc")]
+    mean = "global_average_pool"
+    layers = [
+        *maps,
+        {"op": "add", "name": "a + b", "inputs": ["a", "b"]},
+        {"op": "add", "name": "b + c", "inputs": ["b", "c"]},
+        {**chain(conv(padding=3, weight="w0"), source="c")[0], "name": "beyond"},
+        *({"op": mean, "name": f"{one} mean", "inputs": [one]} for one in ("a + b", "b + c")),
+        {"op": mean, "name": "beyond mean", "inputs": ["beyond"]},
+        {"op": "concat", "name": "all", "inputs": ["a + b mean", "b + c mean", "beyond mean"]},
+    ]
+    weights = {f"w{k}": np.full((1, 1, 1, 1), 2.0**k) for k in range(3)}
+    model = Model(SMALL.replace(bins=1), weights, ("x", "y", "z"), network={"classifier": layers})
+    volume = np.random.default_rng(0).normal(size=(1, 6, 5)).astype(np.float32)
+    mean = volume.mean()
+    expected = [3 * mean, 6 * mean, 4 * mean * 30 / (12 * 11)]
+    assert CompiledClassifier(model)(volume) == pytest.approx(expected, abs=1e-6)
 
 
 def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):

@@ -59,6 +59,9 @@ def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_fi
     model = thesis_model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
     assert model.classes == ("Ölbaum", "", "猫 🐈")
     assert repr(model) == "Model(3 classes, 9x8 -> 2x6x5, 2 conv, 2 dense, 126 weights)"
+    whole = small_model(config=WITH_REGRESSOR)
+    n = sum(w.size for w in whole.weights.values())
+    assert repr(whole) == f"Model(3 classes, 9x8 -> 2x6x5, 6 conv, 2 dense, {n} weights)"
     path = model.save(tmp_path / "ein Modell")
     assert path == tmp_path / "ein Modell" and os.listdir(tmp_path) == ["ein Modell"]
     assert_same(load_model(path), model)

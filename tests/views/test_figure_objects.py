@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
-torch = pytest.importorskip("torch", reason="the model is made of a torch module")
 
+import torch
 from made import events_of
 
 from async_tnt import Model, TNTConfig

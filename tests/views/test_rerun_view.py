@@ -269,7 +269,7 @@ def test_a_packet_with_a_late_event_is_refused_as_a_whole(tmp_path):
     late = events_of([30_000, 60_000, 5], [5, 6, 7], [5, 5, 5], [1, 0, 1])
     with RerunView(MODEL, out=tmp_path / "a.rrd", late="raise", picture_us=20_000) as view:
         view.push(events_of([10], [3], [3], [1]))
-        with pytest.raises(ValueError, match="`t`|late"):
+        with pytest.raises(ValueError, match=r"`t`|late"):
             view.push(late)
         assert view.processor.counts.received == 1
         assert len(view.push(late[:2])) == 1
