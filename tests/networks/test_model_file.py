@@ -77,6 +77,16 @@ def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_fi
     assert (exported.config, exported.classes, exported.record) == (SMALL, model.classes, record)
 
 
+def test_the_multiplications_of_a_classifier_by_hand():
+    """3 x 3 weights of 2 channels at 2 x 6 x 5 and at 3 x 3 x 2 numbers; then 3 to 4 to 3 units.
+
+    Those of a landmark network do not count.
+    """
+    expected = 60 * 18 + 18 * 18 + 12 + 12
+    assert small_model().multiplications == expected
+    assert small_model(config=WITH_REGRESSOR).multiplications == expected
+
+
 @pytest.mark.parametrize("dtype", ["f2", ">f4", "u1"])
 def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
     weights = {name: np.asfortranarray(np.ceil(np.abs(w)), dtype) for name, w in changed().items()}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
-from async_tnt.resynthesis.calibration import calibrate, describe, unlike
+from async_tnt.resynthesis.calibration import _scaled, calibrate, describe, unlike
 from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
@@ -160,6 +160,30 @@ def test_nothing_that_moves_is_an_error():
     message = r"no motion was found in any of 4 windows \(ambiguous direction 3, few events 1\): "
     with pytest.raises(ValueError, match=message):
         calibrate(Reconstruction(SENSOR, WINDOW_US), windows, seed=0)
+
+
+def test_thresholds_are_scaled_until_there_are_as_many_events():
+    """By draws that the seed alone decides, others for each image."""
+
+    class Image:
+        """It has 1,000 events at the scale 1."""
+
+        def __init__(self):
+            self.drawn = set()
+
+        def as_recorded(self, pixels, rng):
+            self.drawn.add(rng.random())
+            return np.zeros(round(1_000 / pixels.scale), EVENT_DTYPE)
+
+    drawn = []
+    for seed in (0, 1):
+        images = [Image(), Image()]
+        pixels, events = _scaled(SimulatedPixels(MeasuredPixels()), images, 500, seed)
+        assert pixels.scale == pytest.approx(4, rel=0.005)
+        assert [len(one) for one in events] == pytest.approx([250, 250], abs=2)
+        drawn += [image.drawn for image in images]
+    assert [len(numbers) for numbers in drawn] == [1] * 4
+    assert len(set.union(*drawn)) == 4
 
 
 def test_numbers_that_differ_by_a_third_are_unlike():
