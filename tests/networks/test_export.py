@@ -32,6 +32,16 @@ def test_what_an_onnx_file_cannot_hold_is_refused(monkeypatch):
         to_onnx(random_model())
 
 
+def test_the_bytes_of_an_onnx_file_are_counted_exactly(monkeypatch):
+    """Four for each weight; just below the limit they fit."""
+    n_bytes = 4 * sum(w.size for w in random_model().weights.values())
+    monkeypatch.setattr(onnx_export, "MAX_BYTES", n_bytes + 1)
+    to_onnx(random_model())
+    monkeypatch.setattr(onnx_export, "MAX_BYTES", n_bytes)
+    with pytest.raises(ValueError, match=f"the classifier's weights are {n_bytes:_} bytes$"):
+        to_onnx(random_model())
+
+
 @pytest.mark.parametrize(
     "wrong", [lambda logits: -logits, lambda logits: logits * np.nan, lambda logits: logits + 1]
 )

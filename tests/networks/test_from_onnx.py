@@ -128,6 +128,31 @@ def test_a_node_without_a_compiled_form_is_refused_by_name(
         load_model(path, config=SMALL)
 
 
+def test_an_operation_that_a_file_redefines_is_not_onnxs(tmp_path):
+    path = write_onnx(tmp_path / "m.onnx", [node("Flatten")])
+    proto = onnx.load(path)
+    opsets = [onnx.helper.make_opsetid("", 13)]
+    body = [node("Neg", "x", "y")]
+    proto.functions.append(onnx.helper.make_function("", "Flatten", ["x"], ["y"], body, opsets))
+    proto.ir_version = 8
+    onnx.save(proto, path)
+    message = "the network redefines operations of ONNX"
+    with pytest.raises(NotImplementedError, match=f"^{re.escape(f'{path}: {message}')}"):
+        load_model(path, config=SMALL)
+
+
+def test_a_constant_that_two_nodes_read_is_kept_once(tmp_path):
+    nodes = [
+        LINEAR[0],
+        node("MatMul", "f q", "g"),
+        node("MatMul", "g q", "h"),
+        node("MatMul", "h w"),
+    ]
+    weights = {"w": np.eye(60, 3, dtype=np.float32), "q": np.tri(60, dtype=np.float32) / 60}
+    model = load_model(write_onnx(tmp_path / "m.onnx", nodes, weights), config=SMALL)
+    assert model.weights.keys() == {"q", "w"}
+
+
 def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
     """Here with a rule that is wrong: ReLU read as nothing."""
     nodes = [

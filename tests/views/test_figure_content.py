@@ -1,5 +1,7 @@
 """What the figures draw is what the package computes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -133,8 +135,10 @@ def probabilities_of(figure):
 
 
 def test_each_windows_decision_stands_above_its_start():
-    """And the likeliest classes of all decisions are named, the likeliest first."""
-    shown = subject(8)
+    """And the likeliest classes of all decisions are named, the likeliest first. Names are cut to
+    ten letters."""
+    model = replace(DIGITS, classes=[f"{k} is the digit" for k in range(10)])
+    shown = Subject("8.bin", sample(8), DIGITS.config, model, "digits")
     decisions = list(async_tnt.stream([sample(8)], "digits", every_us=2_500))
     last = [d for d in decisions if d.trigger in ("window", "end")]
     figure = draw_overview(shown)
@@ -143,15 +147,15 @@ def test_each_windows_decision_stands_above_its_start():
     starts_ms = [(d.window_start_us - shown.first_us) / 1e3 for d in last]
     notes = [(text.get_text(), *text.xy) for text in axes.texts]
     assert notes == [
-        (f"“{d.label}” {d.probability:.2f}", start_ms, 1.0)
+        (f"“{d.label} is the …” {d.probability:.2f}", start_ms, 1.0)
         for d, start_ms in zip(last, starts_ms, strict=True)
     ]
     upright = [line.get_xdata() for line in axes.lines if line.get_gid() is None]
     assert [list(x) for x in upright] == [[x, x] for x in starts_ms]
     likeliest = np.argsort(-np.mean([d.probabilities for d in decisions], axis=0), kind="stable")
     named = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert named == [f"“{k}”" for k in likeliest[:4]]
-    assert figure.texts[-1].get_text().startswith("8.bin: “8”, ")
+    assert named == [f"“{k} is the …”" for k in likeliest[:4]]
+    assert figure.texts[-1].get_text().startswith("8.bin: “8 is the digit”, ")
 
 
 def test_a_long_recording_has_fewer_decisions_and_no_names(monkeypatch):

@@ -154,7 +154,7 @@ def test_milliseconds_are_rounded_to_microseconds(text, us):
 
 
 def test_pictures_are_at_least_a_microsecond_apart(capsys, program):
-    with pytest.raises(SystemExit, match="^2$"):
+    with pytest.raises(SystemExit, match=r"^2$"):
         program("view", SAMPLE, "--every-ms", "0.0009")
     rule = "argument --every-ms: must be a number from 0.001 to 1e9, got '0.0009'"
     assert rule in capsys.readouterr().err
