@@ -12,7 +12,7 @@ rrd_files = pytest.importorskip(
 )
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_log as log  # noqa: E402
-from async_tnt.views.rerun_view import RerunView, next_moment  # noqa: E402
+from async_tnt.views.rerun_view import LAST_US, RerunView, next_moment  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 MODEL = random_model(CONFIG)
@@ -125,6 +125,48 @@ def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     assert len(decisions) > 2900 and len(lines) <= 20 * (n_pictures + 1)
     assert sum("are not shown" in line for line in lines) >= n_pictures - 3
     assert len(rrd.times(log.PROBABILITIES)) <= 21 * (n_pictures + 1)
+
+
+@pytest.mark.parametrize("late_us", [-1, 0])
+def test_the_last_time_of_reruns_clock(tmp_path, late_us):
+    """It is that of the last picture, a microsecond after the newest event."""
+    t = LAST_US + late_us
+    with RerunView(MODEL, out=tmp_path / "a.rrd") as view:
+        if late_us < 0:
+            view.push(events_of([t], [0], [0], [1]))
+        else:
+            message = f"`t` must be below {LAST_US} us to be shown by Rerun, got {t}$"
+            with pytest.raises(ValueError, match=message):
+                view.push(events_of([t], [0], [0], [1]))
+    if late_us < 0:
+        assert Rrd(tmp_path / "a.rrd").times(log.EVENTS) == [LAST_US]
+
+
+@pytest.mark.parametrize(
+    ("url", "address"),
+    [
+        ("rerun+http://127.0.0.1:9999/proxy", ("127.0.0.1", 9999)),
+        ("rerun+http://localhost/proxy", ("localhost", 9876)),
+        ("rerun+http://127.0.0.1:9999", None),
+        ("rerun+http:///proxy", None),
+    ],
+)
+def test_the_address_of_a_viewer(url, address, monkeypatch):
+    """Without a port it is the one where viewers listen."""
+    asked = []
+
+    def nobody(address, timeout):
+        asked.append(address)
+        raise OSError
+
+    monkeypatch.setattr("async_tnt.views.rerun_view.socket.create_connection", nobody)
+    with pytest.raises((OSError, ValueError)) as raised:
+        RerunView(MODEL, connect=url)
+    expected = "a viewer's URL is rerun+http://HOST:9876/proxy, got "
+    if address is not None:
+        expected = f"{url}: no Rerun viewer listens there"
+    assert str(raised.value).startswith(expected)
+    assert asked == ([] if address is None else [address])
 
 
 def test_times_beyond_reruns_clock(tmp_path):
