@@ -78,6 +78,20 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     np.testing.assert_allclose(net, [(2, 0), (2, 0), (0, 2)])
 
 
+def test_pictures_are_shown_as_they_look_beside_their_recordings():
+    """Light as the eye sees it, about its root; then ON minus OFF of each recording."""
+    light = np.array([[0.0, 0.25, 1.0], [0.81, 0.04, 0.49]])
+    events = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
+    figure = figure_resynthesis.draw_recorded_pictures(
+        [("cup", light, [events, events[:1]])], (5, 3)
+    )
+    shown, first, second = pictures(figure.axes)
+    np.testing.assert_allclose(shown, [[0, 0.5, 1], [0.9, 0.2, 0.7]])
+    assert (first[2, 1], first[0, 4], np.abs(first).sum()) == (2, -1, 3)
+    assert (second[2, 1], np.abs(second).sum()) == (1, 1)
+    assert "cup" in [text.get_text() for text in figure.texts]
+
+
 def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     shown = subject(4)
     window = shown.window(3)

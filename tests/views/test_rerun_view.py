@@ -326,6 +326,12 @@ def test_the_events_of_closed_windows_are_forgotten(tmp_path):
             assert held <= 2 * 200
 
 
+@pytest.mark.parametrize(("live", "spans"), [(False, []), (True, [(-10 * 10**9, 0)])])
+def test_the_plots_of_a_live_stream_show_its_last_ten_seconds(tmp_path, live, spans):
+    rrd, _ = view_of(tmp_path, [EVENTS[:10]], live=live)
+    assert rrd.spans == spans
+
+
 def test_the_last_picture_of_a_live_stream_is_drawn(tmp_path):
     """Though pictures before it are left out, as they come faster than they can be drawn."""
     rrd, _ = view_of(tmp_path, np.array_split(EVENTS, 40), picture_us=500, live=True)
