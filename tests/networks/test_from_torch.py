@@ -97,6 +97,27 @@ def test_modes_and_changes_in_place_are_read_as_they_are(module):
     assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
+@EVEN_KERNEL
+@pytest.mark.parametrize(
+    "layer",
+    [
+        nn.Conv2d(3, 2, 3, padding="valid"),
+        nn.Conv2d(3, 2, (2, 4), dilation=(2, 1), padding="same"),
+        nn.AdaptiveAvgPool2d((None, 3)),
+        nn.AdaptiveAvgPool2d((7, None)),
+        nn.AvgPool2d((3, 2)),
+        nn.MaxPool2d(3, ceil_mode=True),
+        nn.Hardtanh(-0.1, 0.2),
+    ],
+    ids=str,
+)
+def test_parameters_that_are_words_or_missing(layer):
+    module = nn.Sequential(layer, nn.Flatten(), nn.LazyLinear(4))
+    expected = logits_of(module)
+    found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
+    assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
+
+
 VIEWS = {
     "flatten": lambda m, h: h.flatten(1),
     "torch.flatten": lambda m, h: torch.flatten(h, 1),
@@ -246,6 +267,12 @@ def hooked():
     return module
 
 
+def with_a_forward_of_its_own():
+    module = nn.Sequential(nn.Conv2d(3, 4, 3))
+    module[0].forward = nn.Conv2d(3, 4, 3).forward
+    return module
+
+
 def of_layer(*layers):
     return lambda: nn.Sequential(*layers)
 
@@ -290,6 +317,23 @@ REFUSED = [  # what makes it, the beginning of the message
     ),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
     (hooked, f"layer '0' (Conv2d) {HOOKS}"),
+    (
+        with_a_forward_of_its_own,
+        "layer '0' (Conv2d) has a `forward` that is not of its class",
+    ),
+    (
+        lambda: nn.Sequential(nn.Conv2d(3, 4, 3), nn.LazyConv2d(4, 3)),
+        "layer '1' (LazyConv2d) has no weights yet: call the module once",
+    ),
+    (
+        of_layer(nn.BatchNorm2d(3, track_running_stats=False), nn.Conv2d(3, 4, 3)),
+        "layer '0' (BatchNorm2d): a batch norm that does not use running statistics",
+    ),
+    (
+        of_layer(nn.AvgPool2d(2, divisor_override=2)),
+        "layer '0' (AvgPool2d): divisor_override has no compiled form",
+    ),
+    (of_body(lambda m, x: x), "the module's output: the volume itself has no compiled form"),
     (of_body(squares_the_volume), f"operation 'pow_' (pow_) {FORM}"),
     *((of_body(body), OTHER_NUMBERS) for body in HIDDEN),
     (
@@ -319,11 +363,18 @@ def test_a_module_that_is_more_than_its_layers_is_refused_by_name(make, message)
     assert str(raised.value).startswith(message) and str(raised.value).endswith(WAY_OUT)
 
 
-@pytest.mark.parametrize("value", [nn.Conv2d(3, 4, 3).state_dict(), abs])
-def test_what_is_no_module_is_a_type_error(value):
-    with pytest.raises(
-        TypeError, match=f"^`module` must be a torch.nn.Module, got {type(value).__name__}"
-    ):
+@pytest.mark.parametrize(
+    "value, got",
+    [
+        (
+            nn.Conv2d(3, 4, 3).state_dict(),
+            r"OrderedDict: load it into its module \(load_state_dict\)",
+        ),
+        (abs, "builtin_function_or_method"),
+    ],
+)
+def test_what_is_no_module_is_a_type_error(value, got):
+    with pytest.raises(TypeError, match=f"^`module` must be a torch.nn.Module, got {got}$"):
         model_of(value)
 
 

@@ -106,6 +106,12 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
         assert np.array_equal(image, expected) and image.any()
 
 
+def test_pictures_are_taken_from_the_start_that_is_given(tmp_path):
+    """Not from the first event, at 7 ms."""
+    rrd, _ = view_of(tmp_path, [EVENTS], start_us=0, picture_us=20_000)
+    assert rrd.times(log.EVENTS)[:5] == [20_000, 40_000, 50_000, 70_000, 90_000]
+
+
 def test_probabilities_and_decisions_are_the_processors(tmp_path):
     model = load_model("digits")
     events = open_recording(sample_recordings()[7]).read()
