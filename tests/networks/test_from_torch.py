@@ -82,7 +82,13 @@ def scales_the_volume(m, x):
     return m.logits(m.conv((1.5 * x - 0.25) / m.scales))
 
 
-WRITTEN = [depends_on_the_mode, scales_the_volume]
+def computes_more_than_it_returns(m, x):
+    """The weights of what nobody reads are no part of the model."""
+    F.relu(m.conv(x))
+    return m.logits(x)
+
+
+WRITTEN = [depends_on_the_mode, scales_the_volume, computes_more_than_it_returns]
 ALONE = nn.Conv2d(3, 4, (18, 20))
 
 
@@ -332,6 +338,10 @@ REFUSED = [  # what makes it, the beginning of the message
     (
         of_layer(nn.AvgPool2d(2, divisor_override=2)),
         "layer '0' (AvgPool2d): divisor_override has no compiled form",
+    ),
+    (
+        of_body(lambda m, x: m.logits(m.conv(x) * torch.tensor([1, 2, 3])[:, None, None])),
+        "operation 'mul' (mul): a weight of type torch.int64, not floating point, has no compiled",
     ),
     (of_body(lambda m, x: x), "the module's output: the volume itself has no compiled form"),
     (of_body(squares_the_volume), f"operation 'pow_' (pow_) {FORM}"),

@@ -106,6 +106,12 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
         assert np.array_equal(image, expected) and image.any()
 
 
+def test_a_late_packet_does_not_turn_time_back(tmp_path):
+    packets = [events_of([0, 30_000], [1, 2], [3, 3], [1, 1]), events_of([10_000], [3], [3], [1])]
+    rrd, _ = view_of(tmp_path, packets, late="drop", picture_us=20_000)
+    assert rrd.times(log.EVENTS) == [20_000, 30_001]
+
+
 def test_pictures_are_taken_from_the_start_that_is_given(tmp_path):
     """Not from the first event, at 7 ms."""
     rrd, _ = view_of(tmp_path, [EVENTS], start_us=0, picture_us=20_000)
@@ -290,6 +296,9 @@ def test_a_window_without_events_has_neither_landmark_nor_probabilities(tmp_path
     assert [d.trigger for d in decisions] == ["confidence"]
     assert rrd.series(log.LANDMARK, "Points2D:positions") == [(20_000, []), (30_001, [])]
     assert rrd.times(log.PROBABILITIES) == [0]  # of the decision itself
+    empty = log.bin_sheet(np.zeros(CONFIG.shape, np.float32))
+    for _, sheet in rrd.images(log.RAW):
+        np.testing.assert_array_equal(sheet, empty)
 
 
 @pytest.mark.parametrize(

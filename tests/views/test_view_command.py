@@ -144,7 +144,9 @@ def test_a_file_is_written_at_once_and_a_viewer_plays(words, speed, monkeypatch,
 
 
 def test_a_live_stream_has_its_own_pace(program, tmp_path):
-    code, _, err = program("view", "udp://127.0.0.1:1", "--speed", 2, "--out", tmp_path / "a.rrd")
+    code, _, err = program(
+        "view", "udp://127.0.0.1:0?timeout_s=0.1", "--speed", 2, "--out", tmp_path / "a.rrd"
+    )
     assert code == 2 and err.startswith("async-tnt: --speed belongs to recordings; a camera or ")
 
 
@@ -306,3 +308,20 @@ def test_without_a_display_no_viewer_is_started(monkeypatch, program):
     code, _, err = program("view", SAMPLE)
     assert code == 2 and err.count("\n") == 1
     assert err.startswith("async-tnt: no display to open the Rerun viewer on")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of Linux")
+@pytest.mark.parametrize("display", ["DISPLAY", "WAYLAND_DISPLAY"])
+def test_on_either_display_a_viewer_is_started(display, monkeypatch, program):
+    """Here one that cannot be."""
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv(display, ":7")
+
+    def spawn(stream, **_):
+        raise RuntimeError("no\nviewer")
+
+    monkeypatch.setattr("rerun.RecordingStream.spawn", spawn)
+    code, _, err = program("view", SAMPLE)
+    assert code == 2
+    assert own_lines(err) == ["async-tnt: the Rerun viewer cannot be started: no viewer"]
