@@ -283,6 +283,20 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
     assert len(load_model(path, config=SMALL).classes) == 3
 
 
+def test_files_of_the_first_opset_may_list_weights_as_inputs(tmp_path):
+    """As programs wrote them then."""
+    weights = {"w": np.eye(60, 3, dtype=np.float32)}
+    path = write_onnx(tmp_path / "m.onnx", LINEAR, weights, opset=7)
+    proto = onnx.load(path)
+    listed = onnx.helper.make_tensor_value_info("w", onnx.TensorProto.FLOAT, (60, 3))
+    proto.graph.input.append(listed)
+    proto.ir_version = 3
+    onnx.save(proto, path)
+    volume = np.arange(60, dtype=np.float32).reshape(SMALL.shape)
+    logits = CompiledClassifier(load_model(path, config=SMALL))(volume)
+    np.testing.assert_allclose(logits, [0, 1, 2])
+
+
 def test_layers_named_as_weights_and_as_the_output_can_be_exported():
     layers = [
         {"op": "flatten", "name": "w", "inputs": ["volume"]},

@@ -563,6 +563,9 @@ def test_what_a_map_model_refuses():
         ValueError, match=r"4 logits, one for each class, or a map of 5 channels.*got \(4, 20, 35\)"
     ):
         Model(CONFIG, model.weights, (*model.classes, "one more"), network=model.network)
+    two_places = nn.Sequential(nn.AdaptiveAvgPool2d((1, 2)), nn.Conv2d(4, 3, 1))
+    with pytest.raises(ValueError, match=r"or a map of 4 channels.*got \(3, 1, 2\)"):
+        Model.from_torch(two_places, CONFIG, ["a", "b", "c"])  # a map without one for nothing
     with pytest.raises(ValueError, match="`confidence` needs one answer for the window"):
         Processor(model, confidence=0.9)
     processor = Processor(model, every_us=100)
