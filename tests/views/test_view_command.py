@@ -162,6 +162,16 @@ def test_pictures_are_at_least_a_microsecond_apart(capsys, program):
     assert rule in capsys.readouterr().err
 
 
+def test_events_that_are_left_out_are_told(program, tmp_path):
+    """Those outside of a region."""
+    n_outside = int((EVENTS["x"] >= 20).sum())
+    words = "--roi", "0,0,20,34", "--out", tmp_path / "a.rrd"
+    code, _, err = program("view", SAMPLE, *words)
+    (line,) = own_lines(err)
+    assert code == 0 and line.startswith("async-tnt: left out: ")
+    assert f"{n_outside:,} " in line
+
+
 def test_late_events_are_told(program, tmp_path):
     """As those before the start that is given."""
     start_us = int(EVENTS["t"][0]) + 100_000
