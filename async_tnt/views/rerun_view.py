@@ -140,7 +140,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         # the time of the stream: an event out of order comes with the newest one before it
         newest = np.maximum.accumulate(packet["t"])
         np.maximum(newest, self._newest_us, out=newest)
-        if int(newest[-1]) > LAST_US:
+        # the last picture is a microsecond after the newest event
+        if int(newest[-1]) >= LAST_US:
             raise ValueError(
                 f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}"
             )

@@ -11,8 +11,10 @@ from functools import partial
 import numpy as np
 import pytest
 from made import random_model, random_regressor_model
+from networks.foreign import onnx
+from torch import nn
 
-from async_tnt import CompiledClassifier, load_model
+from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import to_onnx
 from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.onnx import export as onnx_export
@@ -27,6 +29,16 @@ def test_what_an_onnx_file_cannot_hold_is_refused(monkeypatch):
     with pytest.raises(
         ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"
     ):
+        to_onnx(random_model())
+
+
+def test_the_bytes_of_an_onnx_file_are_counted_exactly(monkeypatch):
+    """Four for each weight; just below the limit they fit."""
+    n_bytes = 4 * sum(w.size for w in random_model().weights.values())
+    monkeypatch.setattr(onnx_export, "MAX_BYTES", n_bytes + 1)
+    to_onnx(random_model())
+    monkeypatch.setattr(onnx_export, "MAX_BYTES", n_bytes)
+    with pytest.raises(ValueError, match=f"the classifier's weights are {n_bytes:_} bytes$"):
         to_onnx(random_model())
 
 
@@ -63,6 +75,54 @@ def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large,
         compare(network, partial(network, large=large, small=small), (2, 6, 5))
 
 
+@pytest.mark.parametrize(
+    ("numbers", "difference", "is_same"),
+    [
+        # a hundredth of the largest number of all volumes counts: 1e-4 of 1
+        ((100, 1e-3), 5e-5, True),
+        ((100, 1e-3), 2e-4, False),
+        # and 0.01 in any case
+        ((1e-3, 1e-3), 5e-7, True),
+        ((1e-3, 1e-3), 5e-6, False),
+        ((np.nan, np.nan), 0, True),
+    ],
+)
+def test_numbers_that_make_no_difference_to_a_softmax_may_differ_more(numbers, difference, is_same):
+    """The network gives the first number for a volume of large numbers, the second for others."""
+
+    def network(volume, difference=0.0):
+        is_large = np.abs(volume).max() > 50
+        return np.array([numbers[0] if is_large else numbers[1] + difference])
+
+    expected = nullcontext()
+    if not is_same:
+        expected = pytest.raises(ValueError, match="its layers compute other numbers")
+    with expected:
+        compare(network, partial(network, difference=difference), (2, 6, 5))
+
+
+@pytest.mark.parametrize(
+    "shows",
+    [
+        lambda v: not v.any(),
+        lambda v: v.max() < 0,
+        lambda v: np.abs(v).max() >= 100,
+        lambda v: (v[:, :2, :2] > 0).any() and not v[:, 4:].any() and not v[..., 4:].any(),
+        lambda v: v.min() < 0 < v.max() and (v != np.rint(v)).any(),
+    ],
+    ids=["zeros", "negative", "large", "dense in a corner", "any numbers"],
+)
+def test_a_difference_that_one_kind_of_volume_shows_is_found(shows):
+    def network(volume):
+        return np.ones(3)
+
+    def other(volume):
+        return np.full(3, 2.0 if shows(volume) else 1.0)
+
+    with pytest.raises(ValueError, match="its layers compute other numbers"):
+        compare(network, other, (2, 6, 5))
+
+
 # -- the command -----------------------------------------------------------------------------------
 
 
@@ -94,6 +154,30 @@ def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatc
         "nothing is written: its layers compute other numbers (by 0.1, where the largest is" in text
     )
     assert os.listdir(tmp_path) == ["m.onnx"] and out.read_bytes() == b"what was there"
+    code, text, _ = program("export", "digits", "--out", out, "--json")
+    report = json.loads(text)
+    assert (code, report["agrees"], report["files"]) == (1, False, {})
+    assert report["difference"].startswith("its layers compute other numbers (by 0.1, ")
+
+
+@pytest.mark.parametrize(
+    "layers, shape",
+    [
+        ([nn.Conv2d(1, 4, 1)], (1, 4, 6, 5)),  # a map of three classes and nothing
+        ([nn.AdaptiveAvgPool2d(1), nn.Conv2d(1, 3, 1)], (1, 3)),  # logits (3, 1, 1)
+    ],
+    ids=["a map", "one place"],
+)
+def test_the_shape_of_the_output_is_told_as_it_is_in_the_file(layers, shape, tmp_path, program):
+    config = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=1, transform="none", landmark="center")
+    model = Model.from_torch(nn.Sequential(*layers), config, ["a", "b", "c"])
+    path = model.save(tmp_path / "m.safetensors")
+    out = tmp_path / "m.onnx"
+    code, text, _ = program("export", path, "--out", out)
+    assert code == 0
+    assert f"volume (1, 1, 6, 5) -> logits {shape}\n" in text
+    (output,) = onnx.load(out).graph.output
+    assert tuple(side.dim_value for side in output.type.tensor_type.shape.dim) == shape
 
 
 def test_wrong_arguments_give_one_line(tmp_path, program):

@@ -136,6 +136,31 @@ def test_a_node_without_a_compiled_form_is_refused_by_name(
         load_model(path, config=SMALL)
 
 
+def test_an_operation_that_a_file_redefines_is_not_onnxs(tmp_path):
+    path = write_onnx(tmp_path / "m.onnx", [node("Flatten")])
+    proto = onnx.load(path)
+    opsets = [onnx.helper.make_opsetid("", 13)]
+    body = [node("Neg", "x", "y")]
+    proto.functions.append(onnx.helper.make_function("", "Flatten", ["x"], ["y"], body, opsets))
+    proto.ir_version = 8
+    onnx.save(proto, path)
+    message = "the network redefines operations of ONNX"
+    with pytest.raises(NotImplementedError, match=f"^{re.escape(f'{path}: {message}')}"):
+        load_model(path, config=SMALL)
+
+
+def test_a_constant_that_two_nodes_read_is_kept_once(tmp_path):
+    nodes = [
+        LINEAR[0],
+        node("MatMul", "f q", "g"),
+        node("MatMul", "g q", "h"),
+        node("MatMul", "h w"),
+    ]
+    weights = {"w": np.eye(60, 3, dtype=np.float32), "q": np.tri(60, dtype=np.float32) / 60}
+    model = load_model(write_onnx(tmp_path / "m.onnx", nodes, weights), config=SMALL)
+    assert model.weights.keys() == {"q", "w"}
+
+
 def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
     """Here with a rule that is wrong: ReLU read as nothing."""
     nodes = [
@@ -201,6 +226,13 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
             ValueError,
             r"must be the volume, N x \(9, 34, 34\), got N",
         ),
+        (ours, {"classes": ["a"]}, TypeError, "^`config` and `classes` are for networks of other "),
+        (
+            "digits",
+            {"classes": ["a"]},
+            TypeError,
+            r"^`config` and `classes` are for \.onnx networks",
+        ),
         (tmp_path / "no.onnx", {"config": SMALL}, ValueError, "is not a readable ONNX network"),
     ]
     for name, settings, error, message in refused:
@@ -261,6 +293,20 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
     assert len(load_model(path, config=SMALL).classes) == 3
 
 
+def test_files_of_the_first_opset_may_list_weights_as_inputs(tmp_path):
+    """As programs wrote them then."""
+    weights = {"w": np.eye(60, 3, dtype=np.float32)}
+    path = write_onnx(tmp_path / "m.onnx", LINEAR, weights, opset=7)
+    proto = onnx.load(path)
+    listed = onnx.helper.make_tensor_value_info("w", onnx.TensorProto.FLOAT, (60, 3))
+    proto.graph.input.append(listed)
+    proto.ir_version = 3
+    onnx.save(proto, path)
+    volume = np.arange(60, dtype=np.float32).reshape(SMALL.shape)
+    logits = CompiledClassifier(load_model(path, config=SMALL))(volume)
+    np.testing.assert_allclose(logits, [0, 1, 2])
+
+
 def test_layers_named_as_weights_and_as_the_output_can_be_exported():
     layers = [
         {"op": "flatten", "name": "w", "inputs": ["volume"]},
@@ -299,6 +345,12 @@ def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):
 SINES = [node("Sin", "x", "s"), node("Flatten", "s")]
 """A network that has no compiled form."""
 
+SINES_OF_CHANNELS = [
+    node("Sin", "x", "s"),
+    node("GlobalAveragePool", "s", "g"),
+    node("Flatten", "g"),
+]
+"""Likewise, of two logits."""
 
 SINES_CONFIG = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2)
 
@@ -330,8 +382,7 @@ def test_what_has_no_compiled_form_runs_by_onnxruntime(tmp_path, config_file):
     assert type(engine.classifier) is OnnxClassifier
     assert (engine.model, len(engine.classes)) == (SINES_CONFIG, 60)
 
-    layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
-    open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
+    open_sides = write_onnx(tmp_path / "open.onnx", SINES_OF_CHANNELS, shape=("n", 2, "h", "w"))
     assert len(choose_engine(open_sides, config=config_file).classes) == 2
 
     # no layer takes two flattened maps
@@ -349,6 +400,45 @@ def test_a_last_softmax_is_read_as_its_logarithm(tmp_path, config_file):
     logits = choose_engine(logits_path, config=config_file).classifier(volume)
     found = choose_engine(odds_path, config=config_file).classifier(volume)
     np.testing.assert_allclose(found, logits - np.log(np.exp(logits).sum()), atol=1e-5)
+
+
+def test_a_softmax_before_the_end_stays_one(tmp_path, config_file):
+    """Of two equal channels: a half each."""
+    nodes = [node("Softmax", "x", "s", axis=1), node("Flatten", "s")]
+    engine = choose_engine(write_onnx(tmp_path / "a.onnx", nodes), config=config_file)
+    halves = engine.classifier(np.ones(SINES_CONFIG.shape, np.float32))
+    np.testing.assert_allclose(halves, np.full(60, 0.5))
+
+
+def test_onnxruntime_takes_the_class_names_of_a_configuration(tmp_path, config_file):
+    path = write_onnx(tmp_path / "sin.onnx", SINES_OF_CHANNELS)
+
+    def engine_of(*classes):
+        config_file.write_text(json.dumps({"config": SINES_CONFIG.to_dict(), "classes": classes}))
+        return choose_engine(path, config=config_file)
+
+    assert type(engine_of("left", "right").classifier) is OnnxClassifier
+    assert list(engine_of("left", "right").classes) == ["left", "right"]
+    for classes in (["a"], ["a", "b", "c"]):
+        message = f"{config_file}: {len(classes)} classes, but {path} computes 2"
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            engine_of(*classes)
+    for classes in ([], ["a", "a"], [1, "1"]):
+        with pytest.raises(
+            ValueError, match=r"net\.json: .*`classes` must be different names, got"
+        ):
+            engine_of(*classes)
+
+
+def test_a_sensor_that_is_read_is_for_map_models_alone(tmp_path):
+    """A model of one answer keeps the sensor it was made for, also where another would fit."""
+    for n_places in (1, 2):
+        net = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(n_places), torch.nn.Conv2d(2, 3, 1))
+        config = SMALL.replace(transform="none", landmark="center")
+        model = Model.from_torch(net, config, list("abc")[: 3 if n_places == 1 else 2])
+        path = model.save(tmp_path / "m.safetensors")
+        read = choose_engine(path, map_sensor=(40, 30)).model
+        assert read.config.sensor == (config.sensor if n_places == 1 else (40, 30))
 
 
 def test_a_file_of_this_package_takes_no_configuration(tmp_path, config_file):

@@ -13,7 +13,8 @@ from tnt_reference import LayerNetwork
 from torch import nn
 from torch.nn import functional as F
 
-from async_tnt import CompiledClassifier, Model, load_model
+from async_tnt import CompiledClassifier, CompiledRegressor, Model, load_model
+from async_tnt.networks.torch.operations import HeatmapCentroid
 
 WAY_OUT = (
     "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
@@ -84,7 +85,13 @@ def scales_the_volume(m, x):
     return m.logits(m.conv((1.5 * x - 0.25) / m.scales))
 
 
-WRITTEN = [depends_on_the_mode, scales_the_volume]
+def computes_more_than_it_returns(m, x):
+    """The weights of what nobody reads are no part of the model."""
+    F.relu(m.conv(x))
+    return m.logits(x)
+
+
+WRITTEN = [depends_on_the_mode, scales_the_volume, computes_more_than_it_returns]
 ALONE = nn.Conv2d(3, 4, (18, 20))
 
 
@@ -96,6 +103,27 @@ def test_modes_and_changes_in_place_are_read_as_they_are(module):
     expected = np.concatenate(
         [logits_of(module, VOLUMES[k : k + 1].copy()).reshape(1, -1) for k in range(len(VOLUMES))]
     )
+    assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
+
+
+@EVEN_KERNEL
+@pytest.mark.parametrize(
+    "layer",
+    [
+        nn.Conv2d(3, 2, 3, padding="valid"),
+        nn.Conv2d(3, 2, (2, 4), dilation=(2, 1), padding="same"),
+        nn.AdaptiveAvgPool2d((None, 3)),
+        nn.AdaptiveAvgPool2d((7, None)),
+        nn.AvgPool2d((3, 2)),
+        nn.MaxPool2d(3, ceil_mode=True),
+        nn.Hardtanh(-0.1, 0.2),
+    ],
+    ids=str,
+)
+def test_parameters_that_are_words_or_missing(layer):
+    module = nn.Sequential(layer, nn.Flatten(), nn.LazyLinear(4))
+    expected = logits_of(module)
+    found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
     assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
@@ -248,6 +276,12 @@ def hooked():
     return module
 
 
+def with_a_forward_of_its_own():
+    module = nn.Sequential(nn.Conv2d(3, 4, 3))
+    module[0].forward = nn.Conv2d(3, 4, 3).forward
+    return module
+
+
 def of_layer(*layers):
     return lambda: nn.Sequential(*layers)
 
@@ -292,6 +326,27 @@ REFUSED = [  # what makes it, the beginning of the message
     ),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
     (hooked, f"layer '0' (Conv2d) {HOOKS}"),
+    (
+        with_a_forward_of_its_own,
+        "layer '0' (Conv2d) has a `forward` that is not of its class",
+    ),
+    (
+        lambda: nn.Sequential(nn.Conv2d(3, 4, 3), nn.LazyConv2d(4, 3)),
+        "layer '1' (LazyConv2d) has no weights yet: call the module once",
+    ),
+    (
+        of_layer(nn.BatchNorm2d(3, track_running_stats=False), nn.Conv2d(3, 4, 3)),
+        "layer '0' (BatchNorm2d): a batch norm that does not use running statistics",
+    ),
+    (
+        of_layer(nn.AvgPool2d(2, divisor_override=2)),
+        "layer '0' (AvgPool2d): divisor_override has no compiled form",
+    ),
+    (
+        of_body(lambda m, x: m.logits(m.conv(x) * torch.tensor([1, 2, 3])[:, None, None])),
+        "operation 'mul' (mul): a weight of type torch.int64, not floating point, has no compiled",
+    ),
+    (of_body(lambda m, x: x), "the module's output: the volume itself has no compiled form"),
     (of_body(squares_the_volume), f"operation 'pow_' (pow_) {FORM}"),
     *((of_body(body), OTHER_NUMBERS) for body in HIDDEN),
     (
@@ -321,9 +376,63 @@ def test_a_module_that_is_more_than_its_layers_is_refused_by_name(make, message)
     assert str(raised.value).startswith(message) and str(raised.value).endswith(WAY_OUT)
 
 
-@pytest.mark.parametrize("value", [nn.Conv2d(3, 4, 3).state_dict(), abs])
-def test_what_is_no_module_is_a_type_error(value):
-    with pytest.raises(
-        TypeError, match=f"^`module` must be a torch.nn.Module, got {type(value).__name__}"
-    ):
+@pytest.mark.parametrize(
+    "value, got",
+    [
+        (
+            nn.Conv2d(3, 4, 3).state_dict(),
+            r"OrderedDict: load it into its module \(load_state_dict\)",
+        ),
+        (abs, "builtin_function_or_method"),
+    ],
+)
+def test_what_is_no_module_is_a_type_error(value, got):
+    with pytest.raises(TypeError, match=f"^`module` must be a torch.nn.Module, got {got}$"):
         model_of(value)
+
+
+# -- a landmark network beside the classifier ------------------------------------------------------
+
+WITH_LANDMARK = CONFIG.replace(landmark="regressor")
+
+
+def finder(*layers):
+    return nn.Sequential(nn.Conv2d(3, 1, 1), *layers, HeatmapCentroid())
+
+
+class Part(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.regressor = nn.ModuleList([nn.Conv2d(3, 4, 1)])
+
+    def forward(self, volume):
+        return self.regressor[0](volume).mean((2, 3))
+
+
+def test_weights_of_both_networks_are_kept_apart():
+    """Although a part of the classifier is named as the landmark network is, with a part "0"."""
+    decides = Part()
+    finds = finder()
+    model = Model.from_torch(decides, WITH_LANDMARK, list("abcd"), regressor=finds)
+    assert len(model.weights) == 4
+    found = [CompiledClassifier(model)(volume) for volume in VOLUMES]
+    assert np.abs(found - logits_of(decides)).max() <= 1e-5
+    landmarks = [CompiledRegressor(model)(volume) for volume in VOLUMES]
+    np.testing.assert_allclose(landmarks, logits_of(finds), atol=1e-4)
+
+
+class Forgets(nn.Module):
+    """Another function after its fourth call."""
+
+    n_calls = 0
+
+    def forward(self, x):
+        self.n_calls += 1
+        return torch.relu(x) if self.n_calls > 4 else 1.0 * x
+
+
+def test_a_landmark_network_that_is_more_than_its_layers_is_refused():
+    finds = finder()
+    finds.insert(1, Forgets())
+    with pytest.raises(NotImplementedError, match="its layers compute other numbers"):
+        Model.from_torch(Part(), WITH_LANDMARK, list("abcd"), regressor=finds)

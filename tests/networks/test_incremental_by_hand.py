@@ -9,10 +9,12 @@ from pkgutil import walk_packages
 
 import numpy as np
 import pytest
+import torch
 from made import events_of, random_events, random_model, thesis_model
 from networks.cases import NETWORKS
 from numba.core.registry import CPUDispatcher
 from oracles import forward
+from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, kernels
 from async_tnt.kernels.decisions import classify
@@ -100,6 +102,64 @@ def test_one_small_network_event_by_event():
         assert classifier.refresh(volume).tolist() == [2 * hidden, 1 - hidden]
     volume.open(0)
     assert classifier.refresh(volume).tolist() == [1.0, 0.5]
+
+
+@pytest.mark.parametrize("source", ["array", "window"])
+def test_logits_that_were_answered_are_not_changed_by_the_next_call(source):
+    classifier = CompiledClassifier(by_hand())
+    empty, full = TNTVolume(CONFIG), TNTVolume(CONFIG)
+    full.update_one(1, 5, 5, 1)
+
+    def answer(volume):
+        return classifier(volume.array) if source == "array" else classifier.refresh(volume)
+
+    first = answer(empty)
+    assert answer(full).tolist() != [1.0, 0.5]
+    assert first.tolist() == [1.0, 0.5]
+    first[:] = 7  # it is the caller's
+    assert answer(empty).tolist() == [1.0, 0.5]
+
+
+def test_a_volume_of_another_shape_is_refused():
+    classifier = CompiledClassifier(by_hand())
+    other = TNTVolume(CONFIG.replace(bins=2))
+    message = r"^`volume` must have shape \(1, 8, 8\), got \(2, 8, 8\)$"
+    with pytest.raises(ValueError, match=message):
+        classifier.refresh(other)
+    with pytest.raises(ValueError, match=message):
+        classifier(other.array)
+
+
+def test_joined_channels_that_become_blocks_follow_every_event():
+    """Each of the two joined maps changes with events of its own sign alone."""
+    config = CONFIG.replace(polarity="split")
+    net = nn.Sequential(Joined(), nn.PixelShuffle(2), nn.Conv2d(1, 2, 2, stride=2), nn.Flatten())
+    net.append(nn.Linear(2 * 8 * 8, 3))
+    model = Model.from_torch(net, config, ["a", "b", "c"])
+    classifier = CompiledClassifier(model)
+    volume = TNTVolume(config)
+    seen = set()
+    for t, (x, y, p) in enumerate([(0, 0, 1), (7, 7, 0), (3, 2, 0), (3, 2, 1), (6, 1, 1)]):
+        volume.update_one(t, x, y, p)
+        logits = classifier.refresh(volume)
+        assert logits.tobytes() == CompiledClassifier(model)(volume.array).tobytes()
+        seen.add(logits.tobytes())
+    assert len(seen) == 5
+
+
+class Joined(nn.Module):
+    """Two channels of ON events, then two of OFF events."""
+
+    def __init__(self):
+        super().__init__()
+        self.on = nn.Conv2d(2, 2, 1)
+        self.off = nn.Conv2d(2, 2, 1)
+        with torch.no_grad():
+            self.on.weight[:, 1] = 0
+            self.off.weight[:, 0] = 0
+
+    def forward(self, volume):
+        return torch.cat([self.on(volume), self.off(volume)], 1)
 
 
 def test_probabilities_of_logits_beyond_the_range_of_exp():

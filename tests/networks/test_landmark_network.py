@@ -6,7 +6,7 @@ Against the torch reference: test_volume_equals_reference.py.
 import numpy as np
 import pytest
 import torch
-from made import random_regressor_model, thesis_model
+from made import random_model, random_regressor_model, thesis_model
 
 from async_tnt import CompiledRegressor, TNTConfig
 from async_tnt.kernels.network.heatmap import centroid
@@ -64,3 +64,15 @@ def test_large_exponents_and_those_that_overflowed_give_what_torch_gives(heatmap
     assert centroid(in_rows, 4, 2, 2) == pytest.approx(
         (h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True
     )
+
+
+@pytest.mark.parametrize("settings", [{"landmark": "line"}, {"transform": "none"}], ids=str)
+def test_a_model_without_a_landmark_network_has_no_regressor(settings):
+    """What it is made for does not need one."""
+    model = random_model(TNTConfig(**{"landmark": "regressor"} | settings))
+    message = (
+        '^the model has no regressor: that needs landmark="regressor" and transform="tnt", got '
+        f"landmark={model.config.landmark!r}, transform={model.config.transform!r}$"
+    )
+    with pytest.raises(ValueError, match=message):
+        CompiledRegressor(model)

@@ -68,6 +68,15 @@ DAMAGED = [
     ),
     (update(1, name="conv1"), "layer 'conv1' (relu): another layer has this name"),
     (update(1, inputs=["conv7"]), "layer 'relu1' (relu): no earlier layer is named 'conv7'"),
+    (update(1, inputs=["conv1", "conv1"]), "layer 'relu1' (relu): must have 1 input, got 2"),
+    (
+        insert(1, op="add", name="sum", inputs=["conv1"]),
+        "layer 'sum' (add): must have 2 inputs or more, got 1",
+    ),
+    (
+        update(1, inputs="conv1"),
+        "layer 'relu1' (relu): `inputs` must be a list of names, got 'conv1'",
+    ),
     (
         insert(4, op="add", name="sum", inputs=["conv2", "pool1"]),
         "layer 'sum' (add): its inputs must have one shape, ",
@@ -76,6 +85,10 @@ DAMAGED = [
     (
         update(0, stride=[0, 1]),
         "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [0, 1",
+    ),
+    (
+        update(0, stride=[True, True]),
+        "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [True, T",
     ),
     (
         update(0, kernel=[9, 9]),
@@ -148,6 +161,66 @@ def test_what_does_not_fit_is_one_error_that_names_the_layer(tmp_path, edit, mes
     kind = "a network that this release cannot run" if cannot_run else "a damaged model"
     with pytest.raises(ValueError, match=f"^{re.escape(f'{path} holds {kind}: {message}')}"):
         load_model(path)
+
+
+@pytest.mark.parametrize(
+    "op, parameters, message",
+    [
+        ("clip", {"low": np.nan, "high": None}, "`low` must be a number, or null, got nan"),
+        ("clip", {"low": None, "high": 1 << 63}, "`high` must be a number, or null, got 9223"),
+        ("clip", {"low": None, "high": True}, "`high` must be a number, or null, got True"),
+        ("leaky_relu", {"slope": np.inf}, "`slope` must be a finite number, got inf"),
+        ("leaky_relu", {"slope": np.nan}, "`slope` must be a finite number, got nan"),
+        ("leaky_relu", {"slope": None}, "`slope` must be a finite number, got None"),
+        ("depth_to_space", {"block": 0}, "`block` must be a positive whole number, got 0"),
+        ("depth_to_space", {"block": 1.0}, "`block` must be a positive whole number, got 1.0"),
+    ],
+)
+def test_parameters_have_their_kind_of_number(op, parameters, message):
+    layers = chain((op, parameters))
+    where = f"layer '{op} 0' ({op}): "
+    with pytest.raises(ValueError, match=f"^{re.escape(where + message)}"):
+        layer_shapes(layers, (4, 6, 5), {})
+
+
+def test_limits_may_be_infinite():
+    layers = chain(("clip", {"low": -np.inf, "high": np.inf}))
+    assert layer_shapes(layers, (4, 6, 5), {})["clip 0"] == (4, 6, 5)
+
+
+@pytest.mark.parametrize(("variance", "epsilon"), [(0.0, 0.0), (-0.5, 0.5), (-1.0, 0.5)])
+def test_a_batch_norm_never_divides_by_zero(variance, epsilon):
+    """A channel of several."""
+    weights = {"mean": np.zeros(3), "variance": np.array([1.0, variance, 1.0])}
+    layers = chain(
+        ("batch_norm", {"epsilon": epsilon, "weights": {role: role for role in weights}}),
+        ("global_average_pool", {}),
+    )
+    message = r"^layer 'batch_norm 0' \(batch_norm\): variance \+ epsilon must be positive$"
+    with pytest.raises(ValueError, match=message):
+        Model(SMALL.replace(bins=3), weights, list("abc"), network={"classifier": layers})
+
+
+def test_a_classifier_is_no_landmark_network():
+    """Although its two numbers would do for two classes."""
+    network = {"classifier": chain(("heatmap_centroid", {}))}
+    message = "a heatmap_centroid must be the last layer of a regressor, and nowhere else"
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        Model(SMALL.replace(bins=1), {}, ["a", "b"], network=network)
+
+
+BATCH_NORM = ("mean", "variance", "weight", "bias")
+
+
+@pytest.mark.parametrize("role", BATCH_NORM)
+def test_a_batch_norm_has_a_number_for_each_channel(role):
+    """Not one for all, which NumPy would take."""
+    layers = chain(("batch_norm", {"epsilon": 0.5, "weights": {role: role for role in BATCH_NORM}}))
+    shapes = dict.fromkeys(BATCH_NORM, (4,))
+    assert layer_shapes(layers, (4, 6, 5), shapes)["batch_norm 0"] == (4, 6, 5)
+    message = f"layer 'batch_norm 0' (batch_norm): its {role} must have shape (4,) here, got (1,)"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        layer_shapes(layers, (4, 6, 5), shapes | {role: (1,)})
 
 
 def test_networks_that_do_not_fit_the_model():
@@ -245,6 +318,36 @@ def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(
     assert len(layer_shapes(*arguments)) == len(layers) + 1
 
 
+@pytest.mark.parametrize(
+    "layers, n_numbers, n_products",
+    [
+        # of a volume of 2 x 6 x 5 = 60 numbers
+        ([("relu", {})], 60, 60),
+        ([("global_average_pool", {})], 2, 60),  # it reads 60
+        # 3 filters of 2 weights; 100 for the window; 2 x (8 x 7 - 6 x 5) places beside the volume
+        ([conv(padding=1)], 3 * 8 * 7 + 6 + 100 + 52, 3 * 8 * 7 * 2),
+        # an addition of a pooling takes as long as 16 multiplications
+        ([("average_pool", window(2, 0, 2))], 2 * 3 * 2 + 400, 2 * 3 * 2 * 4 * 16),
+        # the sum of the layers
+        ([("relu", {}), ("relu", {}), ("global_average_pool", {})], 60 + 60 + 2, 60 + 60 + 60),
+    ],
+)
+def test_the_cost_of_a_network_by_hand(layers, n_numbers, n_products, monkeypatch):
+    """It is just within the limits, which are one less then."""
+    arguments = (chain(*layers), (2, 6, 5), {"w": (3, 2, 1, 1)})
+    monkeypatch.setattr(graph, "MAX_NUMBERS", n_numbers)
+    monkeypatch.setattr(graph, "MAX_PRODUCTS", n_products)
+    layer_shapes(*arguments)
+    for limit, n, words in (
+        ("MAX_NUMBERS", n_numbers, f"maps and weights are {n_numbers} numbers"),
+        ("MAX_PRODUCTS", n_products, f"a pass has {n_products:_} multiplications"),
+    ):
+        with monkeypatch.context() as one_less:
+            one_less.setattr(graph, limit, n - 1)
+            with pytest.raises(ValueError, match=f"up to here {words}, more than {n - 1:_} "):
+                layer_shapes(*arguments)
+
+
 def test_small_networks_by_hand():
     """An activation that nothing reads; a pooling of the size of its map, with padding."""
     mean = ("global_average_pool", {})
@@ -262,6 +365,28 @@ def test_small_networks_by_hand():
             network={"classifier": layers},
         )
         assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
+
+
+def test_sums_of_maps_that_other_sums_widen():
+    """A sum is listed before the one by which its second map gets the frame of the third, which a
+    convolution reads beyond its border."""
+    maps = [{**chain(conv(weight=f"w{k}"))[0], "name": name} for k, name in enumerate("abc")]
+    mean = "global_average_pool"
+    layers = [
+        *maps,
+        {"op": "add", "name": "a + b", "inputs": ["a", "b"]},
+        {"op": "add", "name": "b + c", "inputs": ["b", "c"]},
+        {**chain(conv(padding=3, weight="w0"), source="c")[0], "name": "beyond"},
+        *({"op": mean, "name": f"{one} mean", "inputs": [one]} for one in ("a + b", "b + c")),
+        {"op": mean, "name": "beyond mean", "inputs": ["beyond"]},
+        {"op": "concat", "name": "all", "inputs": ["a + b mean", "b + c mean", "beyond mean"]},
+    ]
+    weights = {f"w{k}": np.full((1, 1, 1, 1), 2.0**k) for k in range(3)}
+    model = Model(SMALL.replace(bins=1), weights, ("x", "y", "z"), network={"classifier": layers})
+    volume = np.random.default_rng(0).normal(size=(1, 6, 5)).astype(np.float32)
+    mean = volume.mean()
+    expected = [3 * mean, 6 * mean, 4 * mean * 30 / (12 * 11)]
+    assert CompiledClassifier(model)(volume) == pytest.approx(expected, abs=1e-6)
 
 
 def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):

@@ -441,6 +441,54 @@ def test_places_lie_in_the_middle_of_what_they_depend_on():
     assert load_model("digits").places is None
 
 
+PIXELS = CONFIG.replace(sensor=(60, 60), grid=(60, 60), bins=1, polarity="unsigned")
+"""A place of a network without stride is a pixel."""
+
+
+def test_places_of_an_adaptive_pooling_divide_the_sensor():
+    """60 rows, as the convolution before it keeps them, by 7, and 60 columns by 10."""
+    net = nn.Sequential(nn.Conv2d(1, 2, 3, padding=1), nn.AdaptiveAvgPool2d((7, 10)))
+    places = Model.from_torch(net, PIXELS, ["a"]).places
+    assert (places.y0, places.dy) == pytest.approx(((60 / 7 - 1) / 2, 60 / 7))
+    assert (places.x0, places.dx) == pytest.approx((2.5, 6))
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_places_are_those_of_the_first_input(order):
+    """The rows of one lie at 0, 2, ..., those of the other at 1/2, 5/2, ..."""
+
+    class Two(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.a = nn.Conv2d(1, 1, 3, 2, 1)
+            self.b = nn.Conv2d(1, 1, 2, 2)
+
+        def forward(self, volume):
+            maps = self.a(volume), self.b(volume)
+            return torch.cat([maps[k] for k in order], 1)
+
+    places = Model.from_torch(Two(), PIXELS, ["a"]).places
+    assert (places.y0, places.dy) == (order[0] / 2, 2)
+
+
+@pytest.mark.parametrize("by", ["array", "refresh"])
+def test_a_map_that_was_answered_is_not_changed_by_the_next_call(by):
+    classifier = CompiledClassifier(map_model())
+    volumes = [TNTVolume(CONFIG), TNTVolume(CONFIG)]
+    volumes[1].update(random_events(900, sensor=CONFIG.sensor, duration_us=3000))
+
+    def answer(volume):
+        return classifier(volume.array) if by == "array" else classifier.refresh(volume)
+
+    first = answer(volumes[0])
+    before = first.copy()
+    second = answer(volumes[1])
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(first, before)
+    first[:] = 0  # it is the caller's
+    np.testing.assert_array_equal(answer(volumes[0]), before)
+
+
 def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
     model = map_model()
     volume = TNTVolume(CONFIG)
@@ -500,6 +548,25 @@ def test_the_same_network_for_another_sensor():
     assert as_large.for_sensor((140, 90)).logits_shape == (4, 90, 140)
 
 
+@pytest.mark.parametrize(
+    "sensor, grid",
+    [
+        ((100, 100), (34, 34)),
+        ((52, 103), (18, 35)),  # 17.68 and 35.02 are rounded
+        ((50, 53), (17, 18)),
+        ((2, 7), (2, 2)),  # never less than two
+    ],
+)
+def test_the_grid_of_another_sensor_has_its_scale(sensor, grid):
+    """34 places for 100 pixels."""
+    config = PIXELS.replace(sensor=(100, 100), grid=(34, 34))
+    pixelwise = nn.Sequential(nn.Conv2d(1, 2, 1))
+    model = Model.from_torch(pixelwise, config, ["a"]).for_sensor(sensor)
+    assert (model.config.sensor, model.config.grid) == (sensor, grid)
+    width, height = grid
+    assert model.logits_shape == (2, height, width)
+
+
 def test_what_a_map_model_refuses():
     model = map_model()
     with pytest.raises(ValueError, match="needs transform='none'"):
@@ -508,6 +575,9 @@ def test_what_a_map_model_refuses():
         ValueError, match=r"4 logits, one for each class, or a map of 5 channels.*got \(4, 20, 35\)"
     ):
         Model(CONFIG, model.weights, (*model.classes, "one more"), network=model.network)
+    two_places = nn.Sequential(nn.AdaptiveAvgPool2d((1, 2)), nn.Conv2d(4, 3, 1))
+    with pytest.raises(ValueError, match=r"or a map of 4 channels.*got \(3, 1, 2\)"):
+        Model.from_torch(two_places, CONFIG, ["a", "b", "c"])  # a map without one for nothing
     with pytest.raises(ValueError, match="`confidence` needs one answer for the window"):
         Processor(model, confidence=0.9)
     processor = Processor(model, every_us=100)

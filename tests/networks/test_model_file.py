@@ -59,6 +59,9 @@ def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_fi
     model = thesis_model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
     assert model.classes == ("Ölbaum", "", "猫 🐈")
     assert repr(model) == "Model(3 classes, 9x8 -> 2x6x5, 2 conv, 2 dense, 126 weights)"
+    whole = small_model(config=WITH_REGRESSOR)
+    n = sum(w.size for w in whole.weights.values())
+    assert repr(whole) == f"Model(3 classes, 9x8 -> 2x6x5, 6 conv, 2 dense, {n} weights)"
     path = model.save(tmp_path / "ein Modell")
     assert path == tmp_path / "ein Modell" and os.listdir(tmp_path) == ["ein Modell"]
     assert_same(load_model(path), model)
@@ -72,6 +75,16 @@ def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_fi
     assert parts == [SMALL.to_dict(), list(model.classes), record]
     exported = OnnxClassifier(to_onnx(model)).exported
     assert (exported.config, exported.classes, exported.record) == (SMALL, model.classes, record)
+
+
+def test_the_multiplications_of_a_classifier_by_hand():
+    """3 x 3 weights of 2 channels at 2 x 6 x 5 and at 3 x 3 x 2 numbers; then 3 to 4 to 3 units.
+
+    Those of a landmark network do not count.
+    """
+    expected = 60 * 18 + 18 * 18 + 12 + 12
+    assert small_model().multiplications == expected
+    assert small_model(config=WITH_REGRESSOR).multiplications == expected
 
 
 @pytest.mark.parametrize("dtype", ["f2", ">f4", "u1"])
@@ -147,6 +160,14 @@ def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
     assert_refused(
         f"`{name}` must be finite numbers", path, changed(WITH_REGRESSOR, **{name: values})
     )
+
+
+def test_a_file_holds_float32(tmp_path):
+    """Numbers of another precision are no model's of this package."""
+    weights = changed(fc1__bias=np.zeros(4, np.float64))
+    path = write_file(tmp_path / "m", weights)
+    with pytest.raises(ValueError, match=r"`fc1\.bias` must be float32, got float64$"):
+        load_model(path)
 
 
 def test_exactly_the_arrays_of_the_network(tmp_path):

@@ -148,6 +148,21 @@ def test_all_forms_of_an_operation_compute_the_same(op, changed):
     assert layers_from_torch(reference, SHAPE)[0] == layers
 
 
+@pytest.mark.parametrize("op", ["average_pool", "sum_pool", "inside_average_pool"])
+def test_padding_of_a_pooling_in_onnx(op):
+    """Of a corner of four ones, padded to nine places: their sum, or their mean over nine or
+    four."""
+    parameters = {"kernel": [3, 3], "stride": [1, 1], "padding": [1, 1, 1, 1]}
+    layers = [layer(op, "pooled", "volume", **parameters), layer("flatten", "flat", "pooled")]
+    layers.append(layer("dense", "corner", "flat", weights={"weight": "first"}))
+    config = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=1)
+    network = {"classifier": layers}
+    model = Model(config, {"first": np.eye(1, 30, dtype=np.float32)}, ["a"], network=network)
+    expected = {"average_pool": 4 / 9, "sum_pool": 4.0, "inside_average_pool": 1.0}[op]
+    for classifier in (CompiledClassifier(model), OnnxClassifier(to_onnx(model))):
+        assert classifier(np.ones((1, 6, 5), np.float32)) == pytest.approx([expected])
+
+
 @pytest.mark.parametrize("op", [op for op in OPERATIONS if op != LANDMARK_ONLY])
 def test_the_shape_of_an_operation_is_that_of_the_reference_and_of_its_steps(op):
     layers, weights = example(op)

@@ -64,6 +64,49 @@ def test_any_form_of_a_network_takes_any_float_volume_and_its_answers_share_no_m
         assert not np.array_equal(net(2 * VOLUME), kept) and np.array_equal(first, kept)
 
 
+class Scaled(torch.nn.Module):
+    """Without parameters: a counter, and the numbers that it scales by, as buffers."""
+
+    def __init__(self, dtype):
+        super().__init__()
+        self.register_buffer("n_calls", torch.tensor(0))
+        self.register_buffer("scale", torch.full((), 2.0, dtype=dtype))
+
+    def forward(self, volume):
+        self.kept = self.scale * volume.flatten(1)[:, :3]
+        self.types = (volume.dtype, self.kept.dtype)
+        return self.kept
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_volume_has_the_type_of_the_first_floating_numbers_of_a_module(dtype):
+    module = Scaled(dtype)
+    found = TorchClassifier(module)(VOLUME)
+    assert module.types == (dtype, dtype)
+    np.testing.assert_allclose(found, 2 * VOLUME.ravel()[:3])
+    assert TorchClassifier(lambda v: v.flatten(1)[:, :3])(VOLUME).dtype == np.float32
+
+
+def test_an_answer_is_not_the_tensor_that_a_module_keeps():
+    module = Scaled(torch.float32)
+    classifier = TorchClassifier(module)
+    first = classifier(VOLUME)
+    kept = first.copy()
+    with torch.inference_mode():
+        module.kept.zero_()
+    np.testing.assert_array_equal(first, kept)
+    first[:] = 1
+    np.testing.assert_array_equal(module.kept.numpy(), np.zeros((1, 3)))
+
+
+def test_threads_are_left_as_they_are_if_nothing_is_said():
+    torch.set_num_threads(2)
+    TorchClassifier(MODULE, threads=None)
+    assert torch.get_num_threads() == 2
+    TorchClassifier(MODULE)
+    assert torch.get_num_threads() == 1
+
+
 def test_sides_left_open_need_a_shape():
     pool = [node("GlobalAveragePool", ["image"], ["scores"])]
     content = network(
@@ -106,6 +149,11 @@ WRONG = [
     ),
     (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
     (
+        network(inputs=[("image", (2, 2, 6, 5))], outputs=[("scores", (2, 3))]),
+        "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of "
+        "them; got 'image' tensor(float) (2, 2, 6, 5)",
+    ),
+    (
         network(
             [node("Transpose", ["image"], ["scores"], perm=[1, 0, 2, 3])],
             outputs=[("scores", (2, 1, 6, 5))],
@@ -117,7 +165,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(
-    "content, message", WRONG, ids=["two inputs", "two outputs", "float64", "two maps"]
+    "content, message",
+    WRONG,
+    ids=["two inputs", "two outputs", "float64", "a batch of two", "two maps"],
 )
 def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_path, capfd):
     path = tmp_path / "{what} 100%.onnx"

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from made import random_model
 
-from async_tnt import TNTConfig, load_model
+from async_tnt import Processor, TNTConfig, load_model
+from async_tnt.cli import bench
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 CONFIGS = {
     "another sensor": {"sensor": (40, 30), "grid": (20, 16)},
@@ -56,3 +59,91 @@ def test_any_model_is_measured(settings, tmp_path, program):
     assert code == 0 and report["events_from"].endswith(
         "spread over the sensor" if "sensor" in settings else "samples"
     )
+
+
+# -- what is measured, without a clock -------------------------------------------------------------
+
+TICK_S = 1e-3
+SAMPLES = [open_recording(path).read() for path in sample_recordings().values()]
+
+
+@pytest.fixture
+def a_tick_a_look(monkeypatch):
+    """A clock that goes on by a millisecond whenever it is looked at."""
+    looks = iter(range(1 << 30))
+    monkeypatch.setattr(bench.time, "perf_counter", lambda: TICK_S * next(looks))
+
+
+def test_the_samples_are_spread_over_another_sensor():
+    own, own_words = bench._recordings_for((34, 34))
+    wide, words = bench._recordings_for((100, 17))
+    assert (own_words, words) == ("bundled samples", "bundled samples, spread over the sensor")
+    for events, same, spread in zip(SAMPLES, own, wide, strict=True):
+        np.testing.assert_array_equal(same, events)
+        np.testing.assert_array_equal(spread["x"], events["x"].astype(int) * 100 // 34)
+        np.testing.assert_array_equal(spread["y"], events["y"].astype(int) // 2)
+        np.testing.assert_array_equal(spread[["t", "p"]], events[["t", "p"]])
+
+
+def test_nanoseconds_of_an_event_in_the_first_windows(a_tick_a_look):
+    """A tick for each of ten windows; also of a recording that begins late."""
+    model = load_model("digits")
+    late = [events.copy() for events in SAMPLES]
+    for events in late:
+        events["t"] += 10**9
+    n_events = sum(int((e["t"] < e["t"][0] + model.config.window_us).sum()) for e in SAMPLES)
+    for recordings in (SAMPLES, late):
+        measured = list(bench._volume_ns(model, recordings))
+        assert len(measured) == bench.ROUNDS
+        assert measured == pytest.approx([10 * 1e6 / n_events] * bench.ROUNDS)
+
+
+@pytest.mark.parametrize("n_new", bench.NEW_EVENTS)
+def test_a_decision_is_timed_so_many_events_after_another(n_new, a_tick_a_look, monkeypatch):
+    between = []
+
+    class Noting(Processor):
+        n = 0
+
+        def push(self, events):
+            self.n += len(events)
+            return super().push(events)
+
+        def fire(self):
+            between.append(self.n)
+            self.n = 0
+            return super().fire()
+
+    monkeypatch.setattr(bench, "Processor", Noting)
+    measured = list(bench._decision_us(load_model("digits"), SAMPLES[:2], n_new))
+    assert measured == pytest.approx([1000.0] * len(measured))
+    assert len(between) == 2 * len(measured) > 2
+    assert set(between[1::2]) == {n_new}
+
+
+def test_decisions_a_second_are_one_after_every_event(a_tick_a_look):
+    """And one at the end of each of the two closed windows of a recording, at the most."""
+    events = [recording[:1500] for recording in SAMPLES[:3]]
+    for rate in bench._decisions_a_second(load_model("digits"), events):
+        assert 1500 <= rate * TICK_S < 1503
+
+
+def test_figures_stand_in_their_rows(monkeypatch, program):
+    """Quartiles of 1 to 5; numbers from a thousand on have no decimals."""
+    values = [1.0, 2.0, 3.0, 4.0, 5.0]
+    monkeypatch.setattr(bench, "_volume_ns", lambda *_: values)
+    monkeypatch.setattr(bench, "_decision_us", lambda *given: [n * given[2] for n in values])
+    monkeypatch.setattr(bench, "_decisions_a_second", lambda *_: [7.0 * n for n in values])
+    report = json.loads(program("bench", "--json")[1])
+    assert report["ns_an_event"] == {"median": 3, "q1": 2, "q3": 4, "n": 5}
+    assert report["us_a_decision"]["100"] == {"median": 300, "q1": 200, "q3": 400, "n": 5}
+    assert report["decisions_a_second"] == {"median": 21, "q1": 14, "q3": 28, "n": 5}
+    rows = [" ".join(line.split()) for line in program("bench")[1].splitlines()[2:]]
+    assert rows == [
+        "median quartiles",
+        "ns an event into the volume 3.0 2.0 to 4.0",
+        "us a decision, 1 new event 3.0 2.0 to 4.0",
+        "us a decision, 100 new events 300.0 200.0 to 400.0",
+        "us a decision, 1,300 new events 3,900 2,600 to 5,200",
+        "decisions a second, one after every event 21.0 14.0 to 28.0",
+    ]

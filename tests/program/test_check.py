@@ -37,6 +37,59 @@ def test_it_holds_stream_and_batch_equal(program, tmp_path):
     assert {row["config"] for row in rows} == CONFIGS
 
 
+def test_as_many_prefixes_are_compared_as_are_asked_for(program, tmp_path):
+    path = tmp_path / "short.npy"
+    np.save(path, random_events(20, duration_us=20_000))
+
+    n_volumes = {}
+    for prefixes in (1, 5, "all"):
+        report = json.loads(program("check", path, "--json", "--prefixes", prefixes)[1])
+        assert report["prefixes"] == prefixes
+        assert report["packet_sizes"] == [1, 2, 7, 100, "all"]
+        (n_volumes[prefixes],) = [
+            row["n"]
+            for row in report["recordings"][str(path)]
+            if row["what"].startswith("volume against") and row["config"] == "center"
+        ]
+    assert (n_volumes[1], n_volumes[5]) == (1, 5)
+    assert n_volumes["all"] >= 20
+
+
+def test_the_worst_of_all_recordings_is_printed_and_which_one_fails(program, tmp_path, monkeypatch):
+    """The exit code is 1 if one of them fails, as a table and as JSON."""
+    paths = [tmp_path / f"{name}.npy" for name in "abc"]
+    worst = iter([2e-7, 3e-6, 1e-7] * 2)
+    for path in paths:
+        np.save(path, random_events(9))
+    monkeypatch.setattr(
+        "async_tnt.cli.check.check_recording",
+        lambda *_, **__: [
+            Comparison("volumes", "center", 1e-6, n=4, worst=next(worst)),
+            Comparison("landmarks", "line", 1e-9, n=1, worst=0.0),
+        ],
+    )
+    code, out, err = program("check", *paths)
+    assert code == 1
+    _, first, second, last = out.splitlines()
+    assert first.split() == ["volumes", "center", "12", "3e-06", "1e-06", "FAILS"]
+    assert second.split() == ["landmarks", "line", "3", "0", "1e-09", "ok"]
+    assert last == "3 recordings: stream and batch are NOT equal"
+    (line,) = [line for line in err.splitlines() if "volumes" in line]
+    assert line == f"{paths[1]}: volumes (center): 3e-06 in 4 comparisons"
+    code, out, _ = program("check", *paths, "--json")
+    rows = json.loads(out)["recordings"]
+    assert code == 1 and not json.loads(out)["equal"]
+    assert [rows[str(path)][0]["holds"] for path in paths] == [True, False, True]
+
+
+def test_a_recording_of_another_sensor_is_not_checked(program, tmp_path):
+    path = tmp_path / "large.npz"
+    np.savez(path, events=random_events(10, sensor=(64, 48)), sensor=(64, 48))
+    code, out, err = program("check", path)
+    assert (code, out) == (2, "")
+    assert err.endswith("but the model is for 34x34; --model FILE names one for this sensor\n")
+
+
 def test_a_part_behind_all_events_leaves_nothing_to_check(program):
     code, _, err = program("check", sample_recordings()[1], "--between-us", f"{10**9},{10**10}")
     assert code == 2 and err.endswith("no events to check\n")

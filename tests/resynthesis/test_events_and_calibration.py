@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
-from async_tnt.resynthesis.calibration import calibrate, describe
+from async_tnt.resynthesis.calibration import _scaled, calibrate, describe, unlike
 from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels, is_after_pulse, measure_pixels
+from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.volume.events import EVENT_DTYPE
@@ -54,6 +55,47 @@ def test_after_pulses_by_hand():
     ]
     t, x, y, p = np.array([*rows, (2_900, 3, 4, 0)]).T
     assert is_after_pulse((t, x, y, p)).tolist() == [False, True, False, False, False, False, True]
+
+
+def columns(*rows):
+    """Rows (t, x, y, p) as columns."""
+    t, x, y, p = np.array(rows).T
+    return t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
+
+
+@pytest.mark.parametrize("n_windows", [1, 3])
+def test_noise_after_pulses_and_intervals_by_hand(n_windows):
+    """Two pixels of 9 x 5, each with eight silent neighbours: 29 pixels are quiet.
+
+    An after-pulse belongs to neither. Intervals are between events of one sign: 3 ms.
+    """
+    first = (0, 1, 1, 1), (3_000, 1, 1, 1), (10_000, 1, 1, 0)
+    second = (100, 7, 3, 0), (600, 7, 3, 1)  # the latter is an after-pulse
+    window = columns(*sorted([*first, *second]))
+    measured = measure_pixels([window] * n_windows, (9, 5), 20_000)
+    assert measured.after_share == pytest.approx(1 / 4)
+    assert measured.noise_hz == pytest.approx(-np.log(1 - 2 / 29) / 0.020)
+    assert measured.noise_on_share == pytest.approx((2 / 3 + 0) / 2)
+    assert measured.refractory_us == 3_000
+    assert (measured.step_on, measured.step_off) == (1, 1)
+
+
+@pytest.mark.parametrize(("n_on", "step_on"), [(100, 0.3**0.5), (10_000, 0.5)])
+def test_a_ratio_of_thresholds_is_not_beyond_chance_nor_beyond_belief(n_on, step_on):
+    """All events are ON. Of 100, there might have been 30 OFF events; and a ratio above 4 is not
+    believed. No pixel is quiet, so that nothing is known of the noise."""
+    rows = [(5 * k, k % 2, 0, 1) for k in range(n_on)]
+    measured = measure_pixels([columns(*rows)], (2, 1), 100_000)
+    assert measured.step_on == pytest.approx(step_on)
+    assert measured.step_off == pytest.approx(1 / step_on)
+    assert (measured.noise_hz, measured.noise_on_share) == (0, 0.5)
+
+
+def test_a_sensor_whose_every_pixel_is_active_has_finite_noise():
+    """At most 99 % of the pixels count as active."""
+    measured = measure_pixels([columns((5, 0, 0, 1))], (1, 1), 1_000_000)
+    assert measured.noise_hz == pytest.approx(np.log(100))
+    assert measured.refractory_us == 0
 
 
 def test_simulated_pixels_are_like_the_measured_ones():
@@ -118,9 +160,84 @@ def test_the_recorded_motion_is_matched(calibrated):
 
 
 def test_nothing_that_moves_is_an_error():
-    windows = [noise(np.random.default_rng(0), 500)] * 4
-    with pytest.raises(ValueError, match="no motion was found in any of 4 windows"):
+    """It tells the reasons, the most frequent one first."""
+    rng = np.random.default_rng(0)
+    windows = [noise(rng, 20), *[noise(rng, 500)] * 3]
+    message = r"no motion was found in any of 4 windows \(ambiguous direction 3, few events 1\): "
+    with pytest.raises(ValueError, match=message):
         calibrate(Reconstruction(SENSOR, WINDOW_US), windows, seed=0)
+
+
+def test_thresholds_are_scaled_until_there_are_as_many_events():
+    """By draws that the seed alone decides, others for each image."""
+
+    class Image:
+        """It has 1,000 events at the scale 1."""
+
+        def __init__(self):
+            self.drawn = set()
+
+        def as_recorded(self, pixels, rng):
+            self.drawn.add(rng.random())
+            return np.zeros(round(1_000 / pixels.scale), EVENT_DTYPE)
+
+    drawn = []
+    for seed in (0, 1):
+        images = [Image(), Image()]
+        pixels, events = _scaled(SimulatedPixels(MeasuredPixels()), images, 500, seed)
+        assert pixels.scale == pytest.approx(4, rel=0.005)
+        assert [len(one) for one in events] == pytest.approx([250, 250], abs=2)
+        drawn += [image.drawn for image in images]
+    assert [len(numbers) for numbers in drawn] == [1] * 4
+    assert len(set.union(*drawn)) == 4
+
+
+def test_numbers_that_differ_by_a_third_are_unlike():
+    """Either way. Intervals below a microsecond are alike."""
+    recorded = {"a": 4.0, "b": 4.0, "c": 3.0, "d": 3.0, "e": 0.0, "f": 0.0}
+    found = {"a": 3.0, "b": 3.01, "c": 4.0, "d": 3.99, "e": 1e-3, "f": 2e-3}
+    assert unlike({"recorded": recorded, "resynthesized": found}) == ["a", "c", "f"]
+    assert unlike({"recorded": found, "resynthesized": recorded}) == ["a", "c", "f"]
+
+
+def test_other_motions_are_half_to_double_as_long_and_nearer_to_the_middle(monkeypatch):
+    """The object's centre, 12 pixels beside the sensor's, comes up to there, and 3 pixels beside
+    the way."""
+    model = Reconstruction(SENSOR, WINDOW_US).model
+    y, x = np.mgrid[: model.shape[0], : model.shape[1]]
+    centre = np.array([28.5, 16.5])
+    spot = np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / 18)
+    image = MovedImage(model, spot, MotionPath(np.zeros((N_FRAMES, 2))))
+    displacements = []
+    monkeypatch.setattr(
+        MovedImage, "events", lambda self, displacement, *_: displacements.append(displacement)
+    )
+    rng = np.random.default_rng(0)
+    motions = []
+    for _ in range(500):
+        _, motion = image.moved(6.0, SimulatedPixels(MeasuredPixels()), rng)
+        np.testing.assert_allclose(motion, displacements[-1] - displacements[-1][0], atol=1e-9)
+        motions.append(motion)
+    lengths = np.array([np.hypot(*motion[-1]) for motion in motions])
+    assert 3 <= lengths.min() < 3.2
+    assert 11 < lengths.max() < 12 * np.hypot(1, 0.4)
+    at_half_time = centre + np.array([shown[25:27].mean(0) for shown in displacements])
+    assert 13.5 - 0.2 < at_half_time[:, 0].min() < 15
+    assert 30 < at_half_time[:, 0].max() < 31.5 + 0.2
+    assert np.abs(at_half_time[:, 1] - 16.5).max() == pytest.approx(3, abs=0.2)
+
+
+def test_an_image_is_before_the_sensor_wherever_it_was_on_the_torus():
+    """Its equivalent place that is nearest to the sensor's middle."""
+    model = Reconstruction(SENSOR, WINDOW_US).model
+    rows, columns = model.shape
+    y, x = np.mgrid[:rows, :columns]
+    spot = np.exp(-((x - 16) ** 2 + (y - 17) ** 2) / 18)
+    still = MotionPath(np.zeros((N_FRAMES, 2)))
+    for column in (0, 30, -16):  # the last one is 4 columns before the torus' end
+        image = MovedImage(model, np.roll(spot, column, axis=1), still)
+        expected = (16 + column - 16.5 + columns / 2) % columns + 16.5 - columns / 2
+        assert image.picture.centre == pytest.approx([expected, 17], abs=0.05)
 
 
 def centroid(events):
@@ -176,8 +293,20 @@ def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
     windows, reconstruction, calibration = calibrated
     ((_, image),) = reconstruction(windows[:1], calibration.pixels.measured)
     whole = image.as_recorded(calibration.pixels, np.random.default_rng(0))
-    monkeypatch.setattr("async_tnt.simulation.periodic_image.MOST_VALUES", 52 * 34 * 5)
+    most = 52 * 34 * 5
+    monkeypatch.setattr("async_tnt.simulation.periodic_image.MOST_VALUES", most)
+    frames = PeriodicImage.frames
+    sizes = []
+
+    def noting(*given):
+        made = frames(*given)
+        sizes.append(made.size)
+        return made
+
+    monkeypatch.setattr(PeriodicImage, "frames", noting)
     bands = image.as_recorded(calibration.pixels, np.random.default_rng(0))
+    assert max(sizes) <= most
+    assert sum(sizes) == 52 * 34 * 34
     assert (np.diff(bands["t"]) >= 0).all() and len(bands) == pytest.approx(len(whole), rel=0.1)
     rows = [np.bincount(events["y"], minlength=34) for events in (whole, bands)]
     assert np.corrcoef(*rows)[0, 1] > 0.97

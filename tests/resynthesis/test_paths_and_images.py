@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight
+from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight, together
 
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
 from async_tnt.resynthesis.paths import MotionPath
@@ -220,6 +220,44 @@ def test_a_picture_that_stands_still_has_no_path(reconstruction):
     assert n_paths(found) <= 3
     assert all((image is None) == bool(path.refused) for path, image in found)
     assert all(np.isfinite(path.positions).all() and 0 <= path.explained <= 1 for path, _ in found)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "reach", "cell"),
+    [
+        # a sixteenth of what moves, but at most 80 cells and at least 40 along the sensor
+        ((400, 300), (100, 20), 6),
+        ((400, 300), (20, 100), 6),
+        ((400, 300), (20, 20), 5),
+        ((400, 300), (250, 20), 10),
+        ((401, 300), (20, 20), 6),
+        ((80, 60), (40, 40), 2),
+        ((80, 60), (20, 20), 1),
+        ((34, 34), (34, 34), 1),
+    ],
+)
+def test_cells_by_hand(sensor, reach, cell):
+    """Some events far away do not count."""
+    middle = np.linspace(-0.5, 0.5, 71)[:, None] * reach
+    corners = np.repeat([[0, 0], sensor], 14, axis=0)
+    x, y = np.concatenate([middle + np.array(sensor) / 2, corners]).T
+    window = np.arange(len(x)), x, y, np.ones(len(x))
+    nothing = tuple(column[:0] for column in window)
+    assert cell_for([window, nothing, window], sensor) == cell
+    assert cell_for([nothing], sensor) == -(-max(sensor) // 80)
+
+
+def test_after_pulses_tell_nothing_of_the_image():
+    rng = np.random.default_rng(0)
+    t, x, y, p = noise(rng, 40)
+    # far apart, each with an after-pulse
+    t = 2_500 * np.arange(40)
+    window = t, x, y, p
+    pulsed = together(window, (t + 500, x, y, 1 - p))
+    model = Reconstruction(SENSOR, WINDOW_US).model
+    expected = model.frames([window], PIXELS)
+    assert expected.any()
+    np.testing.assert_array_equal(model.frames([pulsed], PIXELS), expected)
 
 
 @pytest.mark.parametrize("sensor", [(128, 96), (41, 20), (5, 3), (1, 1)])

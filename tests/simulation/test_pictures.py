@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,16 +10,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import EpsImagePlugin, Image
 
+from async_tnt.simulation import picture_scene
 from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.picture_scene import (
+    FINENESS,
     SceneSettings,
+    _blurred,
     _crop,
     _frames_of,
     _posed,
+    _random_ground,
+    _rim,
+    _texture,
     record_picture,
 )
-from async_tnt.simulation.pictures import FORMATS, SUFFIXES, read_picture
+from async_tnt.simulation.pictures import FORMATS, SUFFIXES, Picture, read_picture
+from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.random_pixels import random_pixels
+from async_tnt.simulation.simulator import PixelModel
 from async_tnt.volume.events import EVENT_DTYPE
 
 SETTINGS = SceneSettings((34, 34), 105_000)
@@ -152,6 +162,309 @@ def test_damaged_pictures_are_refused_or_read(tmp_path_factory, kind, cut, at):
     path.write_bytes(damaged[: max(1, len(damaged) - cut)])
     with contextlib.suppress(ValueError, OSError):
         assert 0 <= read_picture(path).light.min() <= read_picture(path).light.max() <= 1
+
+
+def test_a_plain_ground_is_alike_on_all_four_sides(tmp_path):
+    """Its luminance is the median: a single pixel that differs does not count."""
+    values = bar(ground=100, light=255)
+    values[0, 0] = 140
+    plain = read_picture(saved(tmp_path / "a.png", values))
+    assert plain.ground == pytest.approx(((100 / 255 + 0.055) / 1.055) ** 2.4, rel=1e-5)
+
+    for column in (0, -1):
+        side = bar(ground=100, light=255)
+        side[1:-1, column] = 200
+        assert read_picture(saved(tmp_path / "b.png", side)).ground is None
+    noisy = bar(ground=100, light=255)
+    noisy[::2] += 20  # by a tenth of the luminance
+    assert read_picture(saved(tmp_path / "c.png", noisy)).ground is None
+
+
+def test_what_is_half_transparent_is_no_object(tmp_path):
+    alpha = bar()
+    alpha[alpha == 0] = 120
+    shown = np.dstack([np.full((20, 24, 3), 90, np.uint8), alpha])
+    assert read_picture(saved(tmp_path / "a.png", shown)).cover.shape == (12, 4)
+
+
+def test_dark_grey_by_hand(tmp_path):
+    """Below sRGB 11, the light is proportional to the number: a 12.92th of it."""
+    picture = read_picture(saved(tmp_path / "a.png", bar(ground=255, light=5)))
+    assert picture.light[3, 2] == pytest.approx(5 / 255 / 12.92, rel=1e-5)
+
+
+def test_a_large_picture_with_a_palette_is_averaged(tmp_path):
+    """Of four pixels that are black or white at random, most become grey."""
+    board = np.random.default_rng(0).integers(0, 2, (1024, 1024), np.uint8)
+    Image.fromarray(255 * board).convert("P").save(tmp_path / "a.png")
+    light = read_picture(tmp_path / "a.png").light
+    assert light.shape == (512, 512)
+    assert np.mean((light > 0.02) & (light < 0.98)) > 0.8
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_picture_of_floats_is_finite(tmp_path, wrong):
+    values = bar().astype(np.float32)
+    values[5, 9] = wrong
+    with pytest.raises(ValueError, match="not a picture: a picture must have finite values"):
+        read_picture(saved(tmp_path / "a.tiff", values))
+
+
+# -- what is drawn at random -----------------------------------------------------------------------
+
+
+@dataclass
+class Drawn:
+    """A recording before its events are simulated."""
+
+    scene: PeriodicImage
+    times_us: np.ndarray
+    displacement: np.ndarray
+    turn: np.ndarray
+    pixels: PixelModel
+
+    @property
+    def centre(self):
+        """The object's centre at half time, on the sensor."""
+        half = self.times_us[-1] / 2
+        moved = [np.interp(half, self.times_us, column) for column in self.displacement.T]
+        return self.scene.centre + moved
+
+    @property
+    def light(self):
+        """Luminance in the image's middle row, and of its corner, 1 for the brightest."""
+        light = np.exp(self.scene.image)
+        column, row = np.rint(self.scene.centre * FINENESS).astype(int)
+        return light[row, column], light[0, 0]
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """A function that draws recordings, each with another seed, and simulates no event."""
+    seen = []
+
+    def no_events(*given):
+        seen.append(Drawn(*given[:-1]))
+        return np.empty(0, EVENT_DTYPE)
+
+    monkeypatch.setattr(PeriodicImage, "events", no_events)
+
+    def draw(picture, scene=SETTINGS, n=100):
+        seen.clear()
+        recordings(picture, n, scene)
+        return list(seen)
+
+    return draw
+
+
+DISC = Picture(
+    np.full((24, 24), 0.9, np.float32),
+    (np.hypot(*(np.indices((24, 24)) - 11.5)) < 12).astype(np.float32),
+    0.1,
+)
+"""A bright disc on a dark ground."""
+
+
+def test_at_half_time_the_object_is_anywhere_on_the_sensor(drawn):
+    """All of its 20 pixels, which are half of the sensor's shorter side."""
+    found = drawn(DISC, SceneSettings((120, 40), 50_000, size=(0.5, 0.5)))
+    x, y = np.array([one.centre for one in found]).T
+    for places, side in ((x, 120), (y, 40)):
+        first = 10 - 0.5
+        last = side - 10 - 0.5
+        assert first - 0.05 <= places.min() < first + 0.1 * side
+        assert last - 0.1 * side < places.max() <= last + 0.05
+        assert places.mean() == pytest.approx((side - 1) / 2, abs=0.1 * side)
+
+
+@pytest.mark.parametrize(("follow", "longest"), [(False, 0.5), (True, 4.0)])
+def test_motions_and_turns_have_their_ranges(drawn, monkeypatch, follow, longest):
+    """Lengths, as shares of the shorter side, are log-uniform."""
+    lengths = []
+
+    def noting(length, *given, **settings):
+        lengths.append(length / 30)
+        return random_motion(length, *given, **settings)
+
+    monkeypatch.setattr(picture_scene, "random_motion", noting)
+    found = drawn(DISC, SceneSettings((40, 30), 50_000, follow=follow))
+    assert 0.06 <= min(lengths) < 0.07
+    assert 0.8 * longest < max(lengths) <= longest
+    assert np.median(lengths) == pytest.approx(np.sqrt(0.06 * longest), rel=0.35)
+    # none at half time, and so less than the whole before and after it
+    turned, grown = np.max([np.abs(one.turn).max(0) for one in found], axis=0)
+    assert np.radians(8) < turned <= np.radians(15)
+    assert 0.08 < grown <= 0.15
+    assert {one.times_us[-1] for one in found} >= {50_000}
+
+
+def test_a_recording_has_at_most_500_frames():
+    """However long its way is."""
+    motion = np.stack([np.linspace(0, 1_000, 4_001), np.zeros(4_001)], axis=1)
+    at, displacement, _ = _frames_of(motion, 0 * motion)
+    assert len(at) == 501
+    np.testing.assert_allclose(np.diff(displacement[:, 0]), 2)
+
+
+def test_contrast_is_2_to_15_and_light_and_dark_are_exchanged_in_half_of_the_recordings(drawn):
+    """A ratio of light in the middle of a white disc to that of the black ground, or the other way
+    round."""
+    white = replace(DISC, light=DISC.cover, ground=0.0)
+    ratios = {}
+    for light in ("positive", "negative", "both"):
+        scene = replace(SETTINGS, light=light)
+        found = [np.divide(*one.light) for one in drawn(white, scene)]
+        ratios[light] = np.log(found)
+    for light, sign in (("positive", 1), ("negative", -1)):
+        signed = sign * ratios[light]
+        assert 0 < signed.min() < signed.max() <= np.log(15) + 1e-9
+        assert np.median(signed) == pytest.approx(np.log(30) / 2, rel=0.2)
+    assert 0.3 < np.mean(ratios["both"] > 0) < 0.7
+
+
+def test_half_of_the_grounds_have_a_texture(drawn):
+    """Of its strength: at most .15 of the luminance."""
+    spreads = []
+    for one in drawn(replace(DISC, ground=0.5), replace(SETTINGS, light="positive")):
+        light = np.exp(one.scene.image[:4])
+        spreads.append(light.std())
+    flat = np.array(spreads) < 1e-3
+    assert 0.35 < flat.mean() < 0.65
+    assert 0.02 < np.max(spreads) < 0.3
+
+
+def test_around_the_object_is_its_ground(drawn):
+    """Also in the corners of its square: a dark disc of 17 pixels on a bright ground."""
+    dark = replace(DISC, light=0.1 * DISC.cover, ground=0.6)
+    for one in drawn(dark, replace(SETTINGS, size=(0.5, 0.5), light="positive"), n=10):
+        middle, ground = one.light
+        column, row = np.rint(one.scene.centre * FINENESS).astype(int)
+        corner = np.exp(one.scene.image[row - 15, column - 15])
+        assert middle < ground
+        assert abs(corner - ground) < abs(corner - middle)
+
+
+def test_a_known_camera_records_pictures(drawn):
+    camera = MeasuredPixels(noise_hz=7.0)
+    for one in drawn(DISC, replace(SETTINGS, camera=camera), n=10):
+        assert 7 / 1.26 < one.pixels.noise_hz < 7 * 1.26
+
+
+@pytest.mark.parametrize("luminance", [0.0, 0.2, 0.49, 0.5, 0.51, 0.8, 1.0])
+def test_a_ground_of_its_own_differs_from_the_object(luminance):
+    """By a quarter at least; it is neither darker than black nor brighter than white."""
+    rng = np.random.default_rng(0)
+    grounds = np.array([_random_ground(luminance, rng) for _ in range(300)])
+    assert np.abs(grounds - luminance).min() >= 0.25 - 1e-12
+    assert 0 <= grounds.min() < grounds.max() <= 1
+
+
+def test_a_photograph_fades_into_its_ground(drawn):
+    """Within a tenth of its sides, and a picture with a ground of its own does not."""
+    photograph = replace(DISC, cover=np.ones((24, 24), np.float32), ground=None)
+    plain = replace(photograph, ground=0.1)
+    covers = [_posed(one, 96, np.random.default_rng(0))[1] for one in (photograph, plain)]
+    differ = covers[1] - covers[0]
+    assert differ.min() > -1e-6
+    assert differ.max() > 0.5
+    assert np.abs(differ[20:-20, 20:-20]).max() < 1e-6
+    rim = _rim(np.ones((40, 10)))
+    np.testing.assert_allclose(rim[:6, 5], [0.125, 0.375, 0.625, 0.875, 1, 1])
+    np.testing.assert_allclose(rim, rim[::-1, ::-1])
+
+
+def test_a_blur_is_a_gaussian_of_its_width():
+    """An impulse gets this variance along each axis, and keeps its light."""
+    impulse = np.zeros((48, 40))
+    impulse[24, 20] = 1.0
+    seen = _blurred(impulse, 2.0)
+    assert seen.sum() == pytest.approx(1)
+    y, x = np.indices(seen.shape)
+    assert (seen * (y - 24) ** 2).sum() == pytest.approx(4, rel=1e-3)
+    assert (seen * (x - 20) ** 2).sum() == pytest.approx(4, rel=1e-3)
+
+
+def test_a_texture_has_deviation_1_and_less_power_at_higher_frequencies():
+    """A quarter of the power at twice the frequency."""
+    rng = np.random.default_rng(0)
+    power = np.zeros((64, 33))
+    for _ in range(100):
+        field = _texture((64, 64), rng)
+        assert field.std() == pytest.approx(1)
+        assert field.mean() == pytest.approx(0, abs=1e-9)
+        power += np.abs(np.fft.rfft2(field)) ** 2
+    radius = np.hypot(np.fft.fftfreq(64)[:, None], np.fft.rfftfreq(64))
+    bands = [power[(radius > low) & (radius < 1.2 * low)].mean() for low in (0.1, 0.2, 0.4)]
+    np.testing.assert_allclose(np.divide(bands[:2], bands[1:]), 4, rtol=0.2)
+
+
+def test_some_motions_turn_round_and_come_back():
+    """What they have turned is less at the end than before, in as many as is said."""
+    shares = np.linspace(0, 1, 400)
+
+    def comes_back(seed, back):
+        rng = np.random.default_rng(seed)
+        motion, turn = random_motion(10.0, shares, rng, most_turn=1.0, back=back)
+        gone = np.abs(turn[:, 0] - turn[0, 0])
+        assert np.hypot(*motion.T).max() > 1
+        return gone[-1] < 0.999 * gone.max()
+
+    assert not any(comes_back(seed, 0.0) for seed in range(100))
+    assert all(comes_back(seed, 1.0) for seed in range(100))
+    assert 0.15 < np.mean([comes_back(seed, 0.25) for seed in range(400)]) < 0.35
+
+
+def test_turns_and_growth_are_as_large_as_is_said():
+    shares = np.linspace(0, 1, 52)
+    rng = np.random.default_rng(0)
+    drawn = [random_motion(1.0, shares, rng, most_turn=0.5, most_growth=2.0) for _ in range(300)]
+    most = np.max([np.ptp(turn, axis=0) for _, turn in drawn], axis=0)
+    assert 0.48 < most[0] <= 0.5
+    assert 1.9 < most[1] <= 2
+
+
+def test_unknown_cameras_have_their_ranges():
+    """Thresholds, refractory time, bandwidth and noise are log-uniform; half of the cameras have no
+    after-pulses, and half no hot pixels."""
+    drawn = [random_pixels(np.random.default_rng(i)) for i in range(400)]
+
+    def column(name):
+        return np.array([getattr(one, name) for one in drawn])
+
+    threshold = np.sqrt(column("threshold_on") * column("threshold_off"))
+    for values, low, high in (
+        (threshold, 0.1, 0.4),
+        (column("refractory_us"), 100, 3_000),
+        (column("bandwidth_hz"), 200, 5_000),
+        (column("noise_hz"), 0.01, 3),
+    ):
+        assert low <= values.min() < 1.1 * low
+        assert 0.9 * high < values.max() <= high
+        assert np.median(values) == pytest.approx(np.sqrt(low * high), rel=0.25)
+    for name, most in (("after_share", 1 / 3), ("hot_share", 1 / 500)):
+        assert 0.4 < np.mean(column(name) == 0) < 0.6
+        assert 0.9 * most < column(name).max() <= most
+    ratio = column("threshold_on") / column("threshold_off")
+    assert np.median(ratio) == pytest.approx(1, rel=0.1)
+    assert np.mean(np.abs(np.log(ratio)) < np.log(1.4)) == pytest.approx(2 / 3, abs=0.07)
+    assert np.ptp(column("noise_on_share")) > 0.8
+    assert 0 < column("leak_hz").min() < column("leak_hz").max() <= 0.3
+
+
+def test_what_is_known_of_a_camera_takes_the_place_of_what_is_drawn():
+    """The measured noise holds what leaks. No share is above 1."""
+    camera = MeasuredPixels(noise_hz=0.2, noise_on_share=0.9, after_share=0.9)
+    drawn = [random_pixels(np.random.default_rng(i), camera) for i in range(50)]
+    assert {(one.noise_on_share, one.leak_hz) for one in drawn} == {(0.9, 0.0)}
+    shares = [one.after_share for one in drawn]
+    assert 0.9 / 1.26 < min(shares) < 0.8
+    assert max(shares) == 1
+
+
+@pytest.mark.parametrize("light", ["", "dark", None])
+def test_an_unknown_light_is_refused(light):
+    with pytest.raises(ValueError, match="`light` must be"):
+        SceneSettings((34, 34), 1_000, light=light)
 
 
 def recordings(picture, n=60, scene=SETTINGS):

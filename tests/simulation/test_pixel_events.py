@@ -193,6 +193,73 @@ def test_leak_hot_pixels_and_after_pulses_by_their_rates():
         assert ((event["t"] - first > 0) & (event["t"] - first < AFTER_US)).any()
 
 
+def pixels_of(events, shape):
+    """Events of each pixel."""
+    counts = np.zeros(shape, int)
+    np.add.at(counts, (events["y"], events["x"]), 1)
+    return counts
+
+
+def test_each_pixel_leaks_by_its_own_threshold():
+    """Four events a second, whether its threshold is low or high."""
+    pixels = PixelModel(mismatch=0.5, refractory_us=0.0, noise_hz=0.0, leak_hz=4.0)
+    still = np.zeros((2, 4, 5))
+    events = simulate(still, np.array([0, 10_000_000]), np.random.default_rng(0), pixels)
+    for y, x in np.ndindex(4, 5):
+        of_pixel = events[(events["x"] == x) & (events["y"] == y)]
+        assert len(of_pixel) > 20
+        assert set(np.diff(of_pixel["t"])) <= {249_999, 250_000, 250_001}
+
+
+def test_thresholds_of_on_and_off_differ_from_pixel_to_pixel_independently():
+    """After 100 mean thresholds up and 100 down, by the counts of each sign."""
+    pixels = PixelModel(0.2, 0.2, mismatch=0.2, refractory_us=0.0, noise_hz=0.0)
+    light = np.array([0.0, 20.0, 0.0])[:, None, None] + np.zeros((20, 30))
+    events = simulate(light, np.array([0, 1e6, 2e6]), np.random.default_rng(0), pixels)
+    on, off = [np.log(pixels_of(events[events["p"] == p], (20, 30))).ravel() for p in (1, 0)]
+    assert [on.std(), off.std()] == pytest.approx([0.2, 0.2], rel=0.1)
+    assert abs(np.corrcoef(on, off)[0, 1]) < 0.15
+
+
+def test_events_of_one_moment_come_row_by_row():
+    """All events of 4 x 5 pixels within 2 us: sorted by time, then row, then column."""
+    pixels = PixelModel(refractory_us=0.0, noise_hz=0.0)
+    rise = np.array([0.0, 3.0])[:, None, None] + np.zeros((4, 5))
+    events = simulate(rise, np.array([0, 2]), np.random.default_rng(0), pixels)
+    rows = events[["t", "y", "x"]].tolist()
+    assert len(rows) > 200
+    assert rows == sorted(rows)
+
+
+def test_no_threshold_is_below_the_least():
+    """Of pixels that differ much: a thousandth, so that a rise by 1 gives at most 1,000 events."""
+    pixels = PixelModel(1e-3, 1e-3, mismatch=1.0, refractory_us=0.0, noise_hz=0.0)
+    rise = np.array([0.0, 1.0])[:, None, None] + np.zeros((4, 5))
+    events = simulate(rise, np.array([0, 1e6]), np.random.default_rng(0), pixels)
+    counts = pixels_of(events, (4, 5))
+    assert 999 <= counts.max() <= 1_000
+    assert counts.min() < 500
+
+
+def test_hot_pixels_differ_and_after_pulses_come_at_any_time_of_a_millisecond():
+    still = np.zeros((2, 20, 30))
+    times = np.array([0, 10_000_000])
+    quiet = {"mismatch": 0.0, "refractory_us": 0.0, "noise_hz": 0.0}
+    hot = PixelModel(**quiet, hot_share=0.2, hot_hz=20.0)
+    counts = pixels_of(simulate(still, times, np.random.default_rng(0), hot), (20, 30))
+    counts = counts[counts > 0]
+    assert counts.std() > 0.7 * counts.mean()  # of an exponential distribution they are equal
+
+    leaking = PixelModel(**quiet, leak_hz=3.0, after_share=0.2)
+    events = simulate(still, times, np.random.default_rng(0), leaking)
+    events = events[np.lexsort((events["t"], events["x"], events["y"]))]
+    late_us = np.diff(events["t"].astype(np.int64))[events["p"][1:] == 0]
+    assert len(late_us) > 3_000
+    assert 1 <= late_us.min() < 20
+    assert 980 < late_us.max() < AFTER_US
+    assert np.median(late_us) == pytest.approx(500, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("frames", "times", "message"),
     [
@@ -212,11 +279,36 @@ def test_leak_hot_pixels_and_after_pulses_by_their_rates():
             [5],
             r"`frame_times_us` must have shape \(2,\), one per frame, got \(1,\)",
         ),
+        (np.zeros((2, 1, 1)), [-1, 5], "`frame_times_us` must be strictly increasing, in "),
+        (np.zeros((2, 1, 1)), [5, np.inf], "`frame_times_us` must be strictly increasing, in "),
+        (np.zeros((2, 1, 1)), [np.nan, 5], "`frame_times_us` must be strictly increasing, in "),
+        (np.zeros((2, 1, 1)), [0, 2.0**54], "`frame_times_us` must be strictly increasing, in "),
+        (
+            np.zeros((1, 1, 65_537)),
+            [0],
+            r"`log_frames` must be at most 65536 pixels wide and high, got \(1, 1, 65537\)",
+        ),
     ],
 )
 def test_invalid_frames_and_pixels_are_refused(frames, times, message):
     with pytest.raises(ValueError, match=message):
         simulate(frames, times, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("value", [-0.1, np.inf, np.nan])
+def test_every_number_of_a_pixel_has_its_range(value):
+    """At both ends of it; what is no number is in none."""
+    for name in vars(PixelModel()):
+        with pytest.raises(ValueError, match=f"`{name}` must be .*, got {value}"):
+            PixelModel(**{name: value})
+    for name in ("noise_on_share", "after_share", "hot_share"):
+        assert getattr(PixelModel(**{name: 0.0}), name) == 0
+        assert getattr(PixelModel(**{name: 1.0}), name) == 1
+        with pytest.raises(ValueError, match=rf"`{name}` must be in \[0, 1\], got 1.01"):
+            PixelModel(**{name: 1.01})
+
+
+def test_rules_of_a_pixels_numbers_are_stated():
     for name, value, rule in (
         ("noise_on_share", 1.5, r"in \[0, 1\], got 1.5"),
         ("threshold_on", 0.0, "finite and at least 0.001, got 0.0"),

@@ -18,6 +18,7 @@ class Rrd:
 
     name : the recording's name in the viewer's list.
     views : origin of a view in the layout -> its kind.
+    spans : (start, end) in nanoseconds from the cursor, of each view that shows a part of the time.
     rows : entity -> [(microseconds, {"Archetype:component": value})], static ones at None.
     """
 
@@ -46,12 +47,16 @@ class Rrd:
         names = [row["RecordingInfo:name"] for _, row in about if "RecordingInfo:name" in row]
         self.name: str | None = names[-1][0] if names else None
         self.views: dict[str, str] = {}
+        self.spans: list[tuple[int, int]] = []
         for part in reader.stream(store=reader.blueprints()[0]):
             batch = part.to_record_batch()
             if "ViewBlueprint:space_origin" in batch.schema.names:
                 kinds = batch.column("ViewBlueprint:class_identifier")
                 origins = batch.column("ViewBlueprint:space_origin")
                 self.views[origins[-1].as_py()[0].lstrip("/")] = kinds[-1].as_py()[0]
+            if "VisibleTimeRanges:ranges" in batch.schema.names:
+                for span in batch.column("VisibleTimeRanges:ranges")[-1].as_py():
+                    self.spans.append((span["range"]["start"], span["range"]["end"]))
         for rows in self.rows.values():
             rows.sort(key=lambda row: -1 if row[0] is None else row[0])
 

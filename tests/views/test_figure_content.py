@@ -1,17 +1,19 @@
 """What the figures draw is what the package computes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
 
-from made import events_of, opened
+from made import events_of, opened, random_model
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views import figure_resynthesis, figure_window
+from async_tnt.views import figure_overview, figure_resynthesis, figure_window
 from async_tnt.views.figure_overview import draw_overview
-from async_tnt.views.figure_style import OFF, ON, new_figure, save
+from async_tnt.views.figure_style import OFF, ON, new_figure, save, shortened
 from async_tnt.views.figure_subject import Subject
 
 DIGITS = async_tnt.load_model("digits")
@@ -76,6 +78,20 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     np.testing.assert_allclose(net, [(2, 0), (2, 0), (0, 2)])
 
 
+def test_pictures_are_shown_as_they_look_beside_their_recordings():
+    """Light as the eye sees it, about its root; then ON minus OFF of each recording."""
+    light = np.array([[0.0, 0.25, 1.0], [0.81, 0.04, 0.49]])
+    events = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
+    figure = figure_resynthesis.draw_recorded_pictures(
+        [("cup", light, [events, events[:1]])], (5, 3)
+    )
+    shown, first, second = pictures(figure.axes)
+    np.testing.assert_allclose(shown, [[0, 0.5, 1], [0.9, 0.2, 0.7]])
+    assert (first[2, 1], first[0, 4], np.abs(first).sum()) == (2, -1, 3)
+    assert (second[2, 1], np.abs(second).sum()) == (1, 1)
+    assert "cup" in [text.get_text() for text in figure.texts]
+
+
 def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     shown = subject(4)
     window = shown.window(3)
@@ -125,6 +141,130 @@ def test_probabilities_are_those_of_the_streams_decisions():
         np.testing.assert_allclose(line.get_ydata()[drawn], [d.probabilities[k] for d in decisions])
         # a line ends with its window
         assert np.flatnonzero(~drawn).tolist() == [ends[0] + 1, ends[1] + 2]
+
+
+def probabilities_of(figure):
+    (axes,) = [each for each in figure.axes if each.get_ylabel() == "class probability"]
+    return axes
+
+
+def test_each_windows_decision_stands_above_its_start():
+    """And the likeliest classes of all decisions are named, the likeliest first. Names are cut to
+    ten letters."""
+    model = replace(DIGITS, classes=[f"{k} is the digit" for k in range(10)])
+    shown = Subject("8.bin", sample(8), DIGITS.config, model, "digits")
+    decisions = list(async_tnt.stream([sample(8)], "digits", every_us=2_500))
+    last = [d for d in decisions if d.trigger in ("window", "end")]
+    figure = draw_overview(shown)
+    axes = probabilities_of(figure)
+    assert len(last) == 3
+    starts_ms = [(d.window_start_us - shown.first_us) / 1e3 for d in last]
+    notes = [(text.get_text(), *text.xy) for text in axes.texts]
+    assert notes == [
+        (f"“{d.label} is the …” {d.probability:.2f}", start_ms, 1.0)
+        for d, start_ms in zip(last, starts_ms, strict=True)
+    ]
+    upright = [line.get_xdata() for line in axes.lines if line.get_gid() is None]
+    assert [list(x) for x in upright] == [[x, x] for x in starts_ms]
+    likeliest = np.argsort(-np.mean([d.probabilities for d in decisions], axis=0), kind="stable")
+    named = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert named == [f"“{k} is the …”" for k in likeliest[:4]]
+    assert figure.texts[-1].get_text().startswith("8.bin: “8 is the digit”, ")
+
+
+def test_a_long_recording_has_fewer_decisions_and_no_names(monkeypatch):
+    """Here of three windows: from 30 ms on, one more would be too many."""
+    shown = subject(8)
+    monkeypatch.setattr(figure_overview, "MOST_DECISIONS", 10)
+    monkeypatch.setattr(figure_overview, "MOST_NAMED", 2)
+    axes = probabilities_of(draw_overview(shown))
+    t = sample(8)["t"]
+    every_us = int(t.max() - t.min()) // 10 // 500 * 500
+    assert every_us > 2_500
+    assert f"every {every_us / 1e3:g} ms" in axes.get_xlabel()
+    expected = list(async_tnt.stream([sample(8)], "digits", every_us=every_us))
+    (line,) = [line for line in axes.lines if line.get_gid() == "class 0"]
+    assert (~np.isnan(line.get_ydata())).sum() == len(expected)
+    assert list(axes.texts) == []
+
+
+def test_decisions_begin_with_the_windows_that_are_drawn():
+    events = sample(8)
+    start_us = int(events["t"][0]) + 40_000
+    shown = Subject("8.bin", events, DIGITS.config, DIGITS, "digits", start_us)
+    axes = probabilities_of(draw_overview(shown))
+    decisions = list(async_tnt.stream([events], "digits", every_us=2_500, start_us=start_us))
+    (line,) = [line for line in axes.lines if line.get_gid() == "class 8"]
+    drawn = ~np.isnan(line.get_ydata())
+    np.testing.assert_allclose(
+        line.get_xdata()[drawn], [(d.time_us - start_us) / 1e3 for d in decisions]
+    )
+
+
+@pytest.mark.parametrize("polarity", ["signed", "split", "unsigned"])
+def test_rows_have_names_colours_and_room(polarity, monkeypatch):
+    """Three of nine bins, evenly spread; what has a sign is white at zero."""
+    from matplotlib.colors import to_hex
+
+    monkeypatch.setattr(figure_overview, "MOST_SLICES", 3)
+    figure = draw_overview(subject(5, polarity=polarity, bins=9))
+    for axes in figure.axes:
+        place = axes.get_position()
+        assert place.y0 > 0 and place.y1 <= 1
+    names = {"split": ["raw, ON", "raw, OFF", "TNT, ON", "TNT, OFF"]}.get(polarity, ["raw", "TNT"])
+    with_images = [axes for axes in figure.axes if axes.images and axes.get_label() == ""]
+    assert len(with_images) == 3 * len(names)
+    titles = [axes.get_title().splitlines()[0] for axes in with_images[:3]]
+    assert titles == ["bin 0", "bin 4", "bin 8"]
+    firsts = with_images[::3]
+    assert [axes.get_ylabel() for axes in firsts] == names
+    for axes, name in zip(firsts, names, strict=True):
+        (picture,) = axes.images
+        least, most = picture.get_clim()
+        assert least == (-most if polarity == "signed" else 0)
+        strongest = {"split": OFF if name.endswith("OFF") else ON, "signed": ON}
+        assert to_hex(picture.cmap(1.0)) == strongest.get(polarity, "#222222").lower()
+
+
+def test_dots_that_are_left_out_are_left_out_everywhere(monkeypatch):
+    """Not at the end of the window. The titles count all events."""
+    shown = subject(4)
+    window = shown.window(1)
+    monkeypatch.setattr(figure_window, "MOST_DOTS", 10)
+    figure = new_figure(4.9)
+    figure_window.draw_both(figure, window, height=4.2)
+    raw, tnt = figure.axes
+    time_ms, *_ = dots(raw)
+    assert len(time_ms) == 10
+    assert time_ms[-1] == window.time_ms[-1]
+    assert len(dots(tnt)[0]) == 10
+    kept = int(window.coordinates().kept.sum())
+    words = [text.get_text() for text in figure.texts]
+    assert words[0] == f"raw: {window.events.size:,} events in window 1"
+    assert words[1].endswith(f": {kept:,} events kept")
+    assert 0 < kept < window.events.size
+
+
+def test_a_landmark_network_is_asked_for_at_once():
+    """One of the volumes that are drawn."""
+    regressed = DIGITS.config.replace(landmark="regressor")
+    message = "needs a model with a landmark network, but "
+    for model, who in ((None, "there is no model"), (DIGITS, "model digits has none")):
+        with pytest.raises(ValueError, match=f"{message}{who}$"):
+            Subject("a", sample(), regressed, model, "digits")
+    other = random_model(regressed.replace(bins=3))
+    with pytest.raises(ValueError, match="must have shape"):
+        Subject("a", sample(), regressed, other, "other")
+
+
+def test_a_start_behind_all_events():
+    shown = Subject("a", sample(), DIGITS.config, start_us=10**9)
+    with pytest.raises(ValueError, match=r"no events in window 1, .* ends in window 0$"):
+        shown.window(1)
+
+
+def test_names_are_cut_to_fit():
+    assert [shortened("abcdef", n) for n in (7, 6, 5)] == ["abcdef", "abcdef", "abcd…"]
 
 
 @pytest.mark.filterwarnings("error")

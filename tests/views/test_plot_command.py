@@ -100,7 +100,7 @@ def test_options_reach_the_picture(plot):
         "of window 2",
         "line, flow removed, t_max 2",
         "34 x 34 pixels, 5 time bins, unsigned",
-        "bin 4",
+        "bin 4 50 ms",
         "every 2.5 ms",
     )
     assert not [label for label in labels if label not in text]

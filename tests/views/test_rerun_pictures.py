@@ -3,11 +3,14 @@
 These are images of events and of volumes, colours of classes, moments and text.
 """
 
+import dataclasses
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
 
+from async_tnt import Processor, TNTConfig
 from async_tnt.views import rerun_log as log
 from async_tnt.views.rerun_log import GAP_COLOUR, NOTHING_COLOUR, OFF_COLOUR, ON_COLOUR, bin_sheet
 from async_tnt.views.rerun_view import next_moment
@@ -63,3 +66,58 @@ def test_pictures_are_bounded_in_number_and_taken_at_every_long_window_end(t, or
     assert offset == 0 or (not short and offset % step == 0)
     two_later = next_moment(next_moment(moment, origin, window, step), origin, window, step)
     assert two_later - moment >= min(step, long)  # at most two in a step
+
+
+# -- text ------------------------------------------------------------------------------------------
+
+CONFIG = TNTConfig(sensor=(40, 30), grid=(40, 30), transform="none", landmark="center")
+
+
+def decision_of(logits, classes, times=(1_000, 3_500)):
+    """What a classifier of these logits says at the last of some events."""
+    processor = Processor(CONFIG, classifier=lambda volume: logits, classes=classes)
+    if times:
+        n = len(times)
+        processor.push(events_of(times, [1] * n, [1] * n, [1] * n))
+    return processor.fire()
+
+
+def test_the_text_of_a_class_names_the_likeliest():
+    """Twelve of them; markdown in their names is no markdown."""
+    classes = [f"class_{k}" for k in range(14)]
+    now = decision_of(np.arange(14.0)[::-1].copy(), classes)
+    lines = log.class_text(now, classes).splitlines()
+    p = now.probabilities
+    assert lines[0] == "# class\\_0"
+    assert lines[2] == f"with probability {p[0]:.3f}, from 2 events in 2.5 ms"
+    assert lines[4:6] == ["| class | probability |", "|---|---|"]
+    assert lines[6:] == [f"| class\\_{k} | {p[k]:.3f} |" for k in range(12)]
+
+    likeliest_last = decision_of(np.arange(3.0), ["a", "b", "c"])
+    lines = log.class_text(likeliest_last, ["a", "b", "c"]).splitlines()
+    assert [line.split()[1] for line in lines[6:]] == ["c", "b", "a"]
+
+
+def test_the_text_of_a_window_without_events():
+    now = decision_of(np.arange(3.0), ["a", "b", "c"], times=())
+    assert log.class_text(now, ["a", "b", "c"]).startswith("# no event\n")
+
+
+def test_the_text_of_objects():
+    """Places of 10 x 10 pixels; the likelier object first."""
+    logits = np.zeros((3, 3, 4), np.float32)
+    logits[2] = 2.0  # nothing
+    logits[0, 0, 3] = 4.0
+    logits[1, 2, 0] = 5.0
+    now = decision_of(logits, ["a_1", "b"])
+    now = dataclasses.replace(
+        now, objects=tuple(dataclasses.replace(one, id=7 + one.index) for one in now.objects)
+    )
+    b, a = now.objects
+    lines = log.class_text(now, ["a_1", "b"]).splitlines()
+    assert lines[0] == "# 2 objects"
+    assert lines[2:4] == ["| number | class | probability | place |", "|---|---|---|---|"]
+    assert lines[4:] == [
+        f"| 8 | b | {b.probability:.3f} | 4, 24 |",
+        f"| 7 | a\\_1 | {a.probability:.3f} | 34, 4 |",
+    ]

@@ -12,7 +12,7 @@ rrd_files = pytest.importorskip(
 )
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_log as log  # noqa: E402
-from async_tnt.views.rerun_view import RerunView, next_moment  # noqa: E402
+from async_tnt.views.rerun_view import LAST_US, RerunView, next_moment  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 MODEL = random_model(CONFIG)
@@ -108,6 +108,18 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
         assert np.array_equal(image, expected) and image.any()
 
 
+def test_a_late_packet_does_not_turn_time_back(tmp_path):
+    packets = [events_of([0, 30_000], [1, 2], [3, 3], [1, 1]), events_of([10_000], [3], [3], [1])]
+    rrd, _ = view_of(tmp_path, packets, late="drop", picture_us=20_000)
+    assert rrd.times(log.EVENTS) == [20_000, 30_001]
+
+
+def test_pictures_are_taken_from_the_start_that_is_given(tmp_path):
+    """Not from the first event, at 7 ms."""
+    rrd, _ = view_of(tmp_path, [EVENTS], start_us=0, picture_us=20_000)
+    assert rrd.times(log.EVENTS)[:5] == [20_000, 40_000, 50_000, 70_000, 90_000]
+
+
 def test_probabilities_and_decisions_are_the_processors(tmp_path):
     model = load_model("digits")
     events = open_recording(sample_recordings()[7]).read()
@@ -127,6 +139,48 @@ def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     assert len(decisions) > 2900 and len(lines) <= 20 * (n_pictures + 1)
     assert sum("are not shown" in line for line in lines) >= n_pictures - 3
     assert len(rrd.times(log.PROBABILITIES)) <= 21 * (n_pictures + 1)
+
+
+@pytest.mark.parametrize("late_us", [-1, 0])
+def test_the_last_time_of_reruns_clock(tmp_path, late_us):
+    """It is that of the last picture, a microsecond after the newest event."""
+    t = LAST_US + late_us
+    with RerunView(MODEL, out=tmp_path / "a.rrd") as view:
+        if late_us < 0:
+            view.push(events_of([t], [0], [0], [1]))
+        else:
+            message = f"`t` must be below {LAST_US} us to be shown by Rerun, got {t}$"
+            with pytest.raises(ValueError, match=message):
+                view.push(events_of([t], [0], [0], [1]))
+    if late_us < 0:
+        assert Rrd(tmp_path / "a.rrd").times(log.EVENTS) == [LAST_US]
+
+
+@pytest.mark.parametrize(
+    ("url", "address"),
+    [
+        ("rerun+http://127.0.0.1:9999/proxy", ("127.0.0.1", 9999)),
+        ("rerun+http://localhost/proxy", ("localhost", 9876)),
+        ("rerun+http://127.0.0.1:9999", None),
+        ("rerun+http:///proxy", None),
+    ],
+)
+def test_the_address_of_a_viewer(url, address, monkeypatch):
+    """Without a port it is the one where viewers listen."""
+    asked = []
+
+    def nobody(address, timeout):
+        asked.append(address)
+        raise OSError
+
+    monkeypatch.setattr("async_tnt.views.rerun_view.socket.create_connection", nobody)
+    with pytest.raises((OSError, ValueError)) as raised:
+        RerunView(MODEL, connect=url)
+    expected = "a viewer's URL is rerun+http://HOST:9876/proxy, got "
+    if address is not None:
+        expected = f"{url}: no Rerun viewer listens there"
+    assert str(raised.value).startswith(expected)
+    assert asked == ([] if address is None else [address])
 
 
 def test_times_beyond_reruns_clock(tmp_path):
@@ -161,3 +215,144 @@ def test_after_an_error_the_file_holds_what_came_before(tmp_path):
     with pytest.raises(RuntimeError, match="no answer"):
         view_of(tmp_path, [EVENTS], CONFIG, classifier=fails_later)
     assert not (tmp_path / "a.rrd.part").exists()
+
+
+def test_decisions_that_are_left_out_are_counted_once(tmp_path):
+    """Before the first of the twenty that are written. Only those that close a window are
+    information for everyone; the others are details."""
+    events = events_of(range(1_000, 1_100), [5] * 100, [5] * 100, [1] * 100)
+    rrd, decisions = view_of(tmp_path, [events], every_events=1)
+    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    levels = [level for _, (level,) in rrd.series(log.DECISIONS, "TextLog:level")]
+    # the last one, of the stream's end, comes after the last picture
+    assert len(decisions) == 101 and len(lines) == 21
+    assert [line.endswith("(80 decisions before it are not shown)") for line in lines] == [
+        True,
+        *[False] * 20,
+    ]
+    assert levels == ["TRACE"] * 20 + ["INFO"]
+
+
+def test_the_decision_that_closes_a_window_is_information(tmp_path):
+    events = events_of([0, 10, 60_000], [5, 6, 7], [5, 5, 5], [1, 0, 1])
+    rrd, decisions = view_of(tmp_path, [events], every_events=2)
+    levels = [level for _, (level,) in rrd.series(log.DECISIONS, "TextLog:level")]
+    assert [d.trigger for d in decisions] == ["every_events", "window", "end"]
+    assert levels == ["TRACE", "INFO", "INFO"]
+
+
+OBJECTS = CONFIG.replace(
+    grid=(40, 30), transform="none", landmark="center", polarity="unsigned", bins=1
+)
+
+
+def show_objects(tmp_path, maps, classes=("a", "b")):
+    """A view of one event every 20 ms, at each of which the next of these maps is answered."""
+    shown = iter(maps)
+    current = []
+
+    def classifier(volume):
+        if volume.sum() > len(current):
+            current.append(next(shown))
+        return current[-1] if current else np.zeros_like(maps[0])
+
+    n = len(maps)
+    events = events_of([1 + 9_000 * k for k in range(n)], [5] * n, [5] * n, [1] * n)
+    settings = {"classifier": classifier, "classes": list(classes), "start_us": 0}
+    rrd, _ = view_of(tmp_path, [events], OBJECTS, picture_us=9_000, **settings)
+    return rrd
+
+
+def test_objects_are_shown_where_they_are_until_they_are_gone(tmp_path):
+    """Places of 10 x 10 pixels. The plot has the likeliest object of each class, and 0 for a class
+    without one."""
+    one = np.zeros((3, 3, 4), np.float32)
+    one[2] = 1.0  # nothing
+    one[0, 0, 3] = 4.0
+    one[0, 2, 0] = 3.0
+    none = np.zeros((3, 3, 4), np.float32)
+    none[2] = 1.0
+    rrd = show_objects(tmp_path, [one, none])
+    (_, first), (_, last) = (
+        rrd.series(log.OBJECTS, "Points2D:positions")[0],
+        rrd.series(log.OBJECTS, "Points2D:positions")[-1],
+    )
+    e = np.exp
+    likelier = e(4) / (e(4) + e(1) + 1)
+    other = e(3) / (e(3) + e(1) + 1)
+    assert first == [pytest.approx([35, 5]), pytest.approx([5, 25])]
+    assert last == []
+    (_, labels) = rrd.series(log.OBJECTS, "Points2D:labels")[0]
+    assert labels == [f"a {likelier:.2f}", f"a {other:.2f}"]
+    plotted = [values for _, values in rrd.series(log.PROBABILITIES, "Scalars:scalars")]
+    assert plotted[0] == pytest.approx([likelier, 0])
+    assert plotted[-1] == [0, 0]
+    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    assert lines[-1].startswith("nothing  0.000  end: 2 events, ")
+
+
+def test_a_window_without_events_has_neither_landmark_nor_probabilities(tmp_path):
+    """After the first event, which is enough for a decision, the next window begins."""
+    events = events_of([0, 30_000], [5, 6], [5, 5], [1, 0])
+    rrd, decisions = view_of(tmp_path, [events], confidence=1e-9, picture_us=20_000)
+    assert [d.trigger for d in decisions] == ["confidence"]
+    assert rrd.series(log.LANDMARK, "Points2D:positions") == [(20_000, []), (30_001, [])]
+    assert rrd.times(log.PROBABILITIES) == [0]  # of the decision itself
+    empty = log.bin_sheet(np.zeros(CONFIG.shape, np.float32))
+    for _, sheet in rrd.images(log.RAW):
+        np.testing.assert_array_equal(sheet, empty)
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"connect": "rerun+http://127.0.0.1:1/proxy"}, "`out` writes a file and .* give one of"),
+        ({"picture_us": 0}, "`picture_us` must be at least 1, got 0"),
+    ],
+)
+def test_settings_that_cannot_be_shown(tmp_path, settings, message):
+    with pytest.raises(ValueError, match=message):
+        RerunView(MODEL, out=tmp_path / "a.rrd", **settings)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_windows_of_events_cannot_be_shown(tmp_path):
+    config = TNTConfig(sensor=(40, 30), grid=(20, 24), window_events=500, bins=4)
+    with pytest.raises(ValueError, match=r"can be viewed, but not of 500 events$"):
+        RerunView(random_model(config), out=tmp_path / "a.rrd")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_packet_with_a_late_event_is_refused_as_a_whole(tmp_path):
+    """Also its first part, which a picture would separate from the second."""
+    late = events_of([30_000, 60_000, 5], [5, 6, 7], [5, 5, 5], [1, 0, 1])
+    with RerunView(MODEL, out=tmp_path / "a.rrd", late="raise", picture_us=20_000) as view:
+        view.push(events_of([10], [3], [3], [1]))
+        with pytest.raises(ValueError, match=r"`t`|late"):
+            view.push(late)
+        assert view.processor.counts.received == 1
+        assert len(view.push(late[:2])) == 1
+
+
+def test_the_events_of_closed_windows_are_forgotten(tmp_path):
+    """However long the stream is."""
+    with RerunView(MODEL, out=tmp_path / "a.rrd", picture_us=10_000) as view:
+        for start_us in range(0, 1_000_000, 50_000):
+            view.push(random_events(200, duration_us=50_000, sensor=(40, 30), start_us=start_us))
+            held = sum(len(part) for part in view._recent)
+            assert held <= 2 * 200
+
+
+@pytest.mark.parametrize(("live", "spans"), [(False, []), (True, [(-10 * 10**9, 0)])])
+def test_the_plots_of_a_live_stream_show_its_last_ten_seconds(tmp_path, live, spans):
+    rrd, _ = view_of(tmp_path, [EVENTS[:10]], live=live)
+    assert rrd.spans == spans
+
+
+def test_the_last_picture_of_a_live_stream_is_drawn(tmp_path):
+    """Though pictures before it are left out, as they come faster than they can be drawn."""
+    rrd, _ = view_of(tmp_path, np.array_split(EVENTS, 40), picture_us=500, live=True)
+    times = rrd.times(log.EVENTS)
+    whole, _ = view_of(tmp_path, np.array_split(EVENTS, 40), picture_us=500)
+    assert times[-1] == int(EVENTS["t"][-1]) + 1
+    assert len(times) < len(whole.times(log.EVENTS)) > 300

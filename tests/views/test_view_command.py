@@ -17,6 +17,7 @@ from made import random_events
 from waiting import until
 
 from async_tnt import Processor, load_model
+from async_tnt.cli.view import _milliseconds
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLE = sample_recordings()[7]
@@ -115,6 +116,70 @@ def test_mistakes_are_one_line_and_leave_no_file(words, message, tmp_path, monke
     (line,) = [line for line in err.splitlines() if "listening" not in line]
     assert code == 2 and message in line
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.npy", "large.npz"]
+
+
+@pytest.mark.parametrize(
+    ("words", "speed"),
+    [
+        ((), np.inf),
+        (("--speed", "0.5"), 0.5),
+        (("--connect", "rerun+http://127.0.0.1:9876/proxy"), 1.0),
+    ],
+)
+def test_a_file_is_written_at_once_and_a_viewer_plays(words, speed, monkeypatch, program, tmp_path):
+    """Unless a speed is given. Here nothing is sent."""
+    from async_tnt.views import rerun_view
+
+    class Played(Exception):
+        pass
+
+    def played(packets, speed):
+        raise Played(speed)
+
+    monkeypatch.setattr("async_tnt.cli.view.replay", played)
+    monkeypatch.setattr(rerun_view, "_connect", lambda stream, url: None)
+    where = () if "--connect" in words else ("--out", tmp_path / "a.rrd")
+    with pytest.raises(Played, match=f"^{speed}$"):
+        program("view", SAMPLE, *where, *words)
+
+
+def test_a_live_stream_has_its_own_pace(program, tmp_path):
+    code, _, err = program(
+        "view", "udp://127.0.0.1:0?timeout_s=0.1", "--speed", 2, "--out", tmp_path / "a.rrd"
+    )
+    assert code == 2 and err.startswith("async-tnt: --speed belongs to recordings; a camera or ")
+
+
+@pytest.mark.parametrize(("text", "us"), [("30", 30_000), ("0.0016", 2), ("0.001", 1)])
+def test_milliseconds_are_rounded_to_microseconds(text, us):
+    assert _milliseconds(text) == us
+
+
+def test_pictures_are_at_least_a_microsecond_apart(capsys, program):
+    with pytest.raises(SystemExit, match=r"^2$"):
+        program("view", SAMPLE, "--every-ms", "0.0009")
+    rule = "argument --every-ms: must be a number from 0.001 to 1e9, got '0.0009'"
+    assert rule in capsys.readouterr().err
+
+
+def test_events_that_are_left_out_are_told(program, tmp_path):
+    """Those outside of a region."""
+    n_outside = int((EVENTS["x"] >= 20).sum())
+    words = "--roi", "0,0,20,34", "--out", tmp_path / "a.rrd"
+    code, _, err = program("view", SAMPLE, *words)
+    (line,) = own_lines(err)
+    assert code == 0 and line.startswith("async-tnt: left out: ")
+    assert f"{n_outside:,} " in line
+
+
+def test_late_events_are_told(program, tmp_path):
+    """As those before the start that is given."""
+    start_us = int(EVENTS["t"][0]) + 100_000
+    n_late = int((EVENTS["t"] < start_us).sum())
+    out = tmp_path / "a.rrd"
+    code, _, err = program("view", SAMPLE, "--start-us", start_us, "--out", out)
+    (line,) = own_lines(err)
+    assert code == 0 and f"{n_late} of {len(EVENTS)} events" in line and "--start-us" in line
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
@@ -255,3 +320,20 @@ def test_without_a_display_no_viewer_is_started(monkeypatch, program):
     code, _, err = program("view", SAMPLE)
     assert code == 2 and err.count("\n") == 1
     assert err.startswith("async-tnt: no display to open the Rerun viewer on")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of Linux")
+@pytest.mark.parametrize("display", ["DISPLAY", "WAYLAND_DISPLAY"])
+def test_on_either_display_a_viewer_is_started(display, monkeypatch, program):
+    """Here one that cannot be."""
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv(display, ":7")
+
+    def spawn(stream, **_):
+        raise RuntimeError("no\nviewer")
+
+    monkeypatch.setattr("rerun.RecordingStream.spawn", spawn)
+    code, _, err = program("view", SAMPLE)
+    assert code == 2
+    assert own_lines(err) == ["async-tnt: the Rerun viewer cannot be started: no viewer"]

@@ -1,0 +1,143 @@
+"""What the page of a map model shows: at three moments of a window, its events and objects."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
+
+import torch
+from made import events_of
+
+from async_tnt import Model, TNTConfig
+from async_tnt.views.figure_objects import draw_window_objects
+from async_tnt.views.figure_style import OFF, ON
+from async_tnt.views.figure_subject import Subject
+
+CONFIG = TNTConfig(
+    sensor=(40, 20),
+    grid=(40, 20),
+    bins=1,
+    polarity="unsigned",
+    transform="none",
+    landmark="center",
+    window_us=9_000,
+)
+
+
+def dot_finder(sensor=CONFIG.sensor):
+    """An object of class "pair" stands where two events are, with probability 1 / (1 + 1/e); one
+    event alone is nothing."""
+    net = torch.nn.Conv2d(1, 2, 1)
+    with torch.no_grad():
+        net.weight[:, 0, 0, 0] = torch.tensor([2.0, 0.0])
+        net.bias[:] = torch.tensor([0.0, 3.0])
+    return Model.from_torch(net, CONFIG, ["pair"]).for_sensor(sensor)
+
+
+FIRST = [(5, 4), (5, 4)]
+SECOND = [(30, 12), (30, 12)]
+ONE_MORE = [(20, 3)]
+
+
+def two_windows(start_us):
+    """Pairs of events, one after the other; then the same in the next window, a column further."""
+    rows = []
+    for number in (0, 1):
+        began_us = start_us + 9_000 * number
+        for after_us, places in ((1_000, FIRST), (4_000, SECOND), (8_000, ONE_MORE)):
+            for k, (x, y) in enumerate(places):
+                rows.append((began_us + after_us + k, x + number, y, 1 - k))
+    rows.insert(0, (start_us, 0, 0, 1))  # with which the first window begins
+    return events_of(*np.array(rows).T)
+
+
+def panels(figure):
+    """Of each panel its title, ON and OFF events, circles, and words beside them."""
+    found = []
+    for axes in figure.axes:
+        lines = {"on": [], "off": [], "objects": []}
+        for line in axes.lines:
+            places = [(int(x), int(y)) for x, y in line.get_xydata()]
+            colours = {ON: "on", OFF: "off"}
+            kind = "objects" if line.get_marker() == "o" else colours[line.get_color()]
+            lines[kind] += places
+        words = [text.get_text() for text in axes.texts]
+        title = axes.get_title(loc="left")
+        found.append((title, lines["on"], lines["off"], lines["objects"], words))
+    return found
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_panels_show_what_was_there_until_then(number):
+    """After 3, 6 and 9 ms."""
+    events = two_windows(50)
+    subject = Subject("a.npz", events, CONFIG, dot_finder(), "finder")
+    figure = draw_window_objects(subject.window(number), subject.model)
+    assert [text.get_text() for text in figure.texts] == [
+        f"a.npz, window {number}: objects that finder finds"
+    ]
+    first, second, third = panels(figure)
+    moved = number - 1
+    begin = [(0, 0)] if number == 1 else []
+    a, b, c = (5 + moved, 4), (30 + moved, 12), (20 + moved, 3)
+    sure = f"{1 / (1 + np.exp(-1)):.2f}"
+    assert first == ("3 ms", [*begin, a], [a], [a], ["pair", sure])
+    title, on, off, objects, words = second
+    assert (title, on, off) == ("6 ms", [*begin, a, b], [a, b])
+    assert sorted(objects) == [a, b]
+    assert words == ["pair", sure] * 2
+    title, on, off, objects, words = third
+    assert (title, on, off) == ("9 ms", [*begin, a, b, c], [a, b])
+    assert sorted(objects) == [a, b]
+    assert words == ["pair", sure] * 2
+
+
+def test_words_of_an_object_at_the_right_stand_left_of_it():
+    """So that they stay inside."""
+    events = events_of([0, 1, 2, 3], [3, 3, 38, 38], [4, 4, 12, 12], [1, 0, 1, 0])
+    subject = Subject("a.npz", events, CONFIG, dot_finder(), "finder")
+    axes = draw_window_objects(subject.window(1), subject.model).axes[0]
+    sides = {text.xy[0]: (text.get_ha(), np.sign(text.get_position()[0])) for text in axes.texts}
+    assert sides == {3: ("left", 1), 38: ("right", -1)}
+
+
+# -- the command -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def plot(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dot_finder().save("finder.safetensors")
+    return lambda *words: program("plot", "a.npz", "--model", "finder.safetensors", *words)
+
+
+def test_the_window_that_is_asked_for_is_drawn(plot, tmp_path):
+    np.savez("a.npz", events=two_windows(50), sensor=(40, 20))
+    for number in (1, 2):
+        code, _, err = plot("--window", number, "--out", "a.svg")
+        assert (code, err) == (0, "")
+        words = f"a.npz, window {number}: objects that finder.safetensors finds"
+        assert words in (tmp_path / "a.svg").read_text()
+    code, _, err = plot("--window", 3, "--out", "b.svg")
+    assert code == 2 and "no events in window 3" in err
+
+
+def test_a_map_model_is_drawn_on_the_recordings_sensor(plot, monkeypatch):
+    """As the same network for that sensor."""
+    seen = []
+    draw = draw_window_objects
+    monkeypatch.setattr(
+        "async_tnt.cli.plot.draw_window_objects",
+        lambda window, model: seen.append(model.config.sensor) or draw(window, model),
+    )
+    np.savez("a.npz", events=two_windows(50), sensor=(60, 24))
+    assert plot("--out", "a.svg")[0] == 0
+    assert seen == [(60, 24)]
+
+
+@pytest.mark.parametrize("words", [("--volume", "bins=3"), ("--window-us", "5000")])
+def test_a_map_model_has_its_own_volume(plot, words):
+    np.savez("a.npz", events=two_windows(50), sensor=(40, 20))
+    code, _, err = plot(*words)
+    assert code == 2 and err.count("\n") == 1
+    assert "--volume and --window-us cannot be used with it" in err
