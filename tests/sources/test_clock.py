@@ -67,6 +67,17 @@ def test_the_bounds_by_hand(time, arrival_us, kept):
     assert by_clock([[MINUTE_US], [time]], [0, arrival_us]) == expected
 
 
+@pytest.mark.parametrize(
+    ("max_jump_s", "jump_us"),
+    [(0.25, 250_000), (2.5, 2_500_000), (0.000_001_6, 2), (1.1, 1_100_000)],
+)
+def test_the_largest_jump_is_rounded_to_a_microsecond(max_jump_s, jump_us):
+    for too_far in (0, 1):
+        time = MINUTE_US + jump_us + too_far
+        kept, _ = by_clock([[MINUTE_US], [time]], max_jump_s=max_jump_s)
+        assert kept == [[MINUTE_US], [] if too_far else [time]]
+
+
 @pytest.mark.parametrize("place", [0, 3])
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("garbled", [21 * MINUTE_US, 2**62, 2**63 + 5])

@@ -125,6 +125,7 @@ def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
         clock.now_us += 1_000 * percent
         next(reader)
         assert (reader.slower, processor.every_us) == (slower, 1_000 * slower), (k, percent)
+    assert reader.slowest == 4  # though decisions are frequent again
     # one after the other, without a pause
     for percent, slower in ((26, 2), (24, 2), (26, 4), (51, 8), (4, 8)):
         reader.put(packet(k))

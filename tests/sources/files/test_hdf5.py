@@ -97,6 +97,20 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
         next(read_hdf5(str(path)))
 
 
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_chunk_that_was_never_written_is_refused(tmp_path, missing):
+    """Of three, the last of which is filled in part: HDF5 makes zeros of it."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        for name in "txyp":
+            data = file.create_dataset(f"events/{name}", (2_500,), "u4", chunks=(1_000,))
+            for chunk in {0, 1, 2} - {missing}:
+                data[1_000 * chunk : 1_000 * (chunk + 1)] = 1
+    message = "/events/t claims 2500 events, but the file holds 2 of their 3 chunks"
+    with pytest.raises(ValueError, match=message):
+        next(read_hdf5(str(path)))
+
+
 @pytest.mark.parametrize(
     ("name", "how"),
     [

@@ -6,6 +6,7 @@ import pytest
 from made import events_of, random_events
 from sources.files.written import FORMATS, SENSOR, made_events, written
 
+from async_tnt.sources import recording_summary
 from async_tnt.sources.pixels.hot_pixels import hot_pixels
 from async_tnt.sources.recording_summary import summarize
 
@@ -77,6 +78,16 @@ def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
         ValueError, match=r"a\.npy: .* events lie off the 20 x 34 sensor; .*another sensor"
     ):
         summarize(tmp_path / "a.npy", (20, 34))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 100])
+def test_unsorted_events_are_counted_wherever_packets_end(tmp_path, monkeypatch, size):
+    """Earlier than the event before, not than the newest: 5, 4, 0 and 2."""
+    monkeypatch.setattr(recording_summary, "PACKET_EVENTS", size)
+    events = events_of([7, 5, 6, 4, 0, 3, 2, 9], [1] * 8, [2] * 8, [0, 0, 0, 1] * 2)
+    np.save(tmp_path / "a.npy", events)
+    found = summarize(tmp_path / "a.npy", (34, 34))
+    assert (found.unsorted, found.on, found.first_us, found.last_us) == (4, 2, 0, 9)
 
 
 def test_a_recording_without_events_is_summarized(tmp_path):
