@@ -232,11 +232,18 @@ def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
 
 
 def test_wrong_arguments():
-    for max_jump_s in (0, -1, float("nan"), float("inf")):
+    for max_jump_s in (0, -1, float("nan"), float("inf"), 1e9):
         with pytest.raises(
             ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"
         ):
             Clock(max_jump_s)
+
+
+@pytest.mark.parametrize("dtype", [[("t", "<u4"), ("x", "<u2")], "<u8"])
+def test_times_of_32_bits_and_what_has_no_fields_are_refused(dtype):
+    """The kernel would read beyond a time of 32 bits."""
+    with pytest.raises(TypeError, match=r"^the field `t` must be a time of 64 bits, got "):
+        Clock(10.0)(np.zeros(3, dtype), "t", 0)
 
 
 # -- applied to the network ------------------------------------------------------------------------

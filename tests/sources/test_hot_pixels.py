@@ -10,7 +10,12 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.pixels.hot_pixels import count_pixels, hot_pixels, learn_mask
+from async_tnt.sources.pixels.hot_pixels import (
+    count_pixels,
+    hot_pixels,
+    learn_mask,
+    listed_pixels,
+)
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
 from async_tnt.sources.pixels.pixel_masks import load_mask
 
@@ -90,6 +95,13 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
     counts = np.full((34, 34), others)
     counts[9, 9] = n
     assert hot_pixels(counts).any() == is_hot
+
+
+def test_hot_pixels_are_listed_busiest_first():
+    counts = np.array([[7, 9, 1], [8, 9, 2]])
+    assert listed_pixels(counts, counts > 6) == [
+        {"x": x, "y": y, "events": n} for x, y, n in ((1, 0, 9), (1, 1, 9), (0, 1, 8), (0, 0, 7))
+    ]
 
 
 def test_an_event_off_the_sensor_is_refused():
