@@ -148,6 +148,26 @@ def test_it_finds_what_was_planted(tmp_path, program):
     }
 
 
+def test_several_recordings_count_as_one_and_share_the_sensor_that_one_states(tmp_path, program):
+    """A pixel that is hot in each, and one that is only in the first; in either order."""
+    out = tmp_path / "mask.npy"
+    for k in range(2):
+        hot = [(30, 2, 40), (3, 31, 400)][: 2 - k]
+        with_hot_pixels(tmp_path / f"{k}.npy", *hot)
+    np.savez(tmp_path / "stated.npz", events=EVENTS[:100], sensor=np.array(SENSOR))
+    paths = [tmp_path / name for name in ("stated.npz", "0.npy", "1.npy")]
+    counts = np.zeros((34, 34), np.int64)
+    for path in paths:
+        events = open_recording(path).read()
+        np.add.at(counts, (events["y"], events["x"]), 1)
+    code, printed, _ = program("mask", *paths, "--out", out, "--json")
+    report = json.loads(printed)
+    assert code == 0 and report["events"] == counts.sum() and report["sensor"] == [34, 34]
+    assert [[pixel["x"], pixel["y"]] for pixel in report["hot_pixels"]] == [[3, 31], [30, 2]]
+    assert report["hot_pixels"][0]["events"] == counts[31, 3]
+    np.testing.assert_array_equal(np.load(out), hot_pixels(counts))
+
+
 @pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])
 def test_at_most_ten_hot_pixels_are_listed(tmp_path, program, n, more):
     path = with_hot_pixels(tmp_path / "a.npy", *((3 * k, 2 + 2 * (k % 2), 900) for k in range(n)))

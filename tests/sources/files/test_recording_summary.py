@@ -100,3 +100,12 @@ def test_a_recording_without_events_is_summarized(tmp_path):
         (0, 0),
         [],
     )
+
+
+def test_hot_pixels_of_a_sensor_of_too_many_pixels_are_not_looked_for(tmp_path):
+    """Their counts would take more memory than the file."""
+    hot = events_of(np.arange(500) * 100, [3] * 500, [4] * 500, [1] * 500)
+    for sensor, n_hot in (((4_096, 4_096), 1), ((4_097, 4_096), 0)):
+        np.savez(tmp_path / "a.npz", events=hot, sensor=np.array(sensor))
+        found = summarize(tmp_path / "a.npz")
+        assert (found.sensor, found.events, len(found.hot_pixels)) == (sensor, 500, n_hot)
