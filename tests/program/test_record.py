@@ -426,21 +426,8 @@ def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(
     assert not [path for path in tmp_path.rglob("*") if path.name != "new"]
 
 
-NO_CLASSES = (
-    "",
-    ".",
-    "..",
-    "/",
-    "a/",
-    ".a",
-    " a",
-    "  ",
-    "a ",
-    "a" * 256,
-    "é" * 128,
-    "a\0b",
-    "a\nb",
-)
+BLANK_OR_HIDDEN = ("", "  ", " a", "a ", ".a", ".", "..")
+NO_CLASSES = (*BLANK_OR_HIDDEN, "/", "a/", "a" * 256, "é" * 128, "a\0b", "a\nb")
 """Names that no folder of a class can have."""
 
 
