@@ -1,14 +1,49 @@
 """Functions for worker processes that need no import of the package's heavy parts."""
 
+import faulthandler
 import os
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from async_tnt.evaluation.processes import run_all
 
+SENT_WITHIN_LIMIT = []
+"""Of each answer of this process, whether the limit of its call was still running."""
+
 
 def twice(number):
     return 2 * number
+
+
+def note_limits():
+    """Note from now on, in this process, whether a call's limit is still running while its answer
+    is sent."""
+    running = {"limit": False}
+    send = Connection.send_bytes
+    begin = faulthandler.dump_traceback_later
+    end = faulthandler.cancel_dump_traceback_later
+
+    def send_and_note(pipe, answer):
+        SENT_WITHIN_LIMIT.append(running["limit"])
+        send(pipe, answer)
+
+    def begin_and_note(limit_s, **how):
+        begin(limit_s, **how)
+        running["limit"] = True
+
+    def end_and_note():
+        end()
+        running["limit"] = False
+
+    Connection.send_bytes = send_and_note
+    faulthandler.dump_traceback_later = begin_and_note
+    faulthandler.cancel_dump_traceback_later = end_and_note
+
+
+def sent_within_limit():
+    """What has been noted so far, an answer after the other."""
+    return list(SENT_WITHIN_LIMIT)
 
 
 class OddError(Exception):

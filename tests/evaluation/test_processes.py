@@ -11,7 +11,13 @@ from pathlib import Path
 
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
-from evaluation.simple_work import raise_odd, sleep_or_end, twice
+from evaluation.simple_work import (
+    note_limits,
+    raise_odd,
+    sent_within_limit,
+    sleep_or_end,
+    twice,
+)
 from processes import started
 from waiting import until
 
@@ -100,6 +106,15 @@ def test_a_call_over_its_limit_ends_the_worker():
         worker.result(0.1)
     worker.end()
     assert not worker.is_running
+
+
+def test_the_limit_of_a_call_does_not_run_while_its_answer_is_sent():
+    """The parent may be slow to read it: the worker has done its work in time."""
+    worker = Worker()
+    for call in ((note_limits,), (twice, 2), (twice, 3), (sent_within_limit,)):
+        worker.submit(*call, limit_s=600)
+    assert [worker.result() for _ in range(4)] == [None, 4, 6, [False] * 3]
+    worker.end()
 
 
 def test_a_cluster_without_workers(empty_cluster, tmp_path, monkeypatch):

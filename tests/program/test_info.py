@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from made import random_events
+from made import events_of, random_events, random_model
 
+from async_tnt import TNTConfig
 from async_tnt.networks.loading import bundled_models, load_model
+from async_tnt.sources.files import worker_source
 from async_tnt.sources.files.recording import sample_recordings
 
 SAMPLE = sample_recordings()[3]
@@ -97,3 +99,76 @@ def test_one_that_cannot_be_read_does_not_keep_the_others_back(program):
     code, text, err = program("info", "nothing.bin", SAMPLE, "digits")
     assert code == 2 and err.count("\n") == 1 and "nothing.bin" in err
     assert text.count("N-MNIST") == 1 and "137,738 weights" in text
+
+
+def recording_of(path, events, **more):
+    np.savez(path, events=events, sensor=np.array([34, 34]), **more)
+    return path
+
+
+@pytest.mark.parametrize(("n_hot", "more"), [(5, ""), (6, ", ...")])
+def test_five_hot_pixels_are_named_busiest_first_and_all_of_them_counted(
+    program, tmp_path, n_hot, more
+):
+    parts = [random_events(1_000)]
+    for k in range(n_hot):
+        n = 300 + 10 * k
+        parts.append(events_of(np.arange(n), [5 * k + 2] * n, [7] * n, [1] * n))
+    events = np.concatenate(parts)
+    at = [int(((events["x"] == 5 * k + 2) & (events["y"] == 7)).sum()) for k in range(n_hot)]
+    _, text, _ = program("info", recording_of(tmp_path / "a.npz", events))
+    busiest = sorted(range(n_hot), key=lambda k: -at[k])[:5]
+    named = ", ".join(f"({5 * k + 2}, 7)" for k in busiest)
+    share = f"{sum(at) / len(events):.1%}"
+    line = f"  hot pixels {n_hot} make {share} of the events: {named}{more}; see async-tnt mask"
+    assert text.splitlines()[-1] == line
+
+
+def test_unsorted_events_and_quiet_parts_are_shown(program, tmp_path):
+    """In the last but one of sixty parts there is one event, and in the last there are 999."""
+    t = np.array([0, 58_500, *[59_500] * 998, 60_000])
+    events = events_of(t, [1] * 1_001, [2] * 1_001, [1, *[0] * 1_000])
+    lines = program("info", recording_of(tmp_path / "a.npz", events))[1].splitlines()
+    assert not [line for line in lines if line.startswith("  unsorted")]
+    bars = next(line for line in lines if line.startswith("  rate"))
+    assert bars.startswith(f"  rate       ▁{' ' * 57}▁█ up to ")
+    _, text, _ = program("info", recording_of(tmp_path / "a.npz", events[::-1]))
+    assert "  unsorted   3 are earlier than the event before them\n" in text
+
+
+def test_a_recording_of_one_event_has_no_rate_and_one_of_none_nothing(program, tmp_path):
+    one = recording_of(tmp_path / "one.npz", events_of([5], [1], [2], [1]))
+    code, text, _ = program("info", one)
+    assert code == 0 and "  time       5 to 5 us: 0.000 s\n  events     1; 100% ON\n" in text
+    none = recording_of(tmp_path / "none.npz", random_events(0))
+    code, text, _ = program("info", none)
+    assert code == 0 and text == f"{none}: NumPy archive, 0.0 MB\n  no events\n"
+
+
+def test_a_folder_or_file_counts_more_than_a_model_of_its_name(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "digits").mkdir()
+    recording_of(tmp_path / "digits" / "a.npz", random_events(10))
+    code, text, _ = program("info", "digits")
+    assert code == 0 and text.splitlines()[0] == "digits: 1 recordings, 10 events; no folders in it"
+
+
+def test_a_recording_that_needs_a_missing_library_does_not_keep_the_others_back(
+    program, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(worker_source, "find_spec", lambda name: None)
+    recording_of(tmp_path / "a.npz", random_events(10))
+    (tmp_path / "b.es").write_bytes(b"Event Stream")
+    code, text, _ = program("info", tmp_path)
+    assert code == 2 and "2 recordings, 10 events" in text
+    assert "b.es" in text and "cannot be read: " in text and "pip install" in text
+
+
+def test_a_model_of_windows_by_number_and_its_map(program, tmp_path):
+    config = TNTConfig(window_events=700)
+    path = random_model(config).save(tmp_path / "m.safetensors")
+    assert "windows of 700 events\n" in program("info", path)[1]
+    wide = load_model("digits-everywhere").for_sensor((100, 50)).save(tmp_path / "w.safetensors")
+    height, width = load_model(wide).logits_shape[1:]
+    assert height < width
+    assert f"objects, at {width}x{height} places of the sensor\n" in program("info", wide)[1]

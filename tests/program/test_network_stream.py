@@ -6,12 +6,14 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from listening import sent
+from listening import free_port, sent
 from waiting import PATIENCE_S
 
 from async_tnt import Processor, load_model
-from async_tnt.sources import open_source
+from async_tnt.cli.packets import find_sources
+from async_tnt.sources import Pixels, UdpSource, open_source
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.sources.queues.keep_up import KeepUp
 
 EVENTS = open_recording(sample_recordings()[7]).read()
@@ -60,9 +62,12 @@ def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_p
     assert len(ports) == 2 and len(set(ports)) == 1 and int(ports[0]) > 0
 
 
+@pytest.mark.parametrize(
+    ("every", "rarer"), [((), ""), (("--every-us", 20_000), ", decisions up to 2 times rarer")]
+)
 @pytest.mark.parametrize(("keep_up_ms", "n_skipped"), [(31, 0), (29, 800)])
 def test_packets_older_than_keep_up_milliseconds_are_skipped(
-    keep_up_ms, n_skipped, program, monkeypatch
+    keep_up_ms, n_skipped, every, rarer, program, monkeypatch
 ):
     """Only the newest packet is kept.
 
@@ -96,5 +101,56 @@ def test_packets_older_than_keep_up_milliseconds_are_skipped(
 
     monkeypatch.setattr("async_tnt.sources.queues.keep_up.KeepUp", KeepUpLate)
     monkeypatch.setattr("async_tnt.cli.packets.open_source", lambda *_: Source())
-    code, _, err = program("run", "camera", "--keep-up", keep_up_ms)
-    assert code == 0 and f"closed; {n_skipped} skipped to stay fresh, at most 30.0 ms waited" in err
+    code, _, err = program("run", "camera", "--keep-up", keep_up_ms, *every)
+    told = f"closed; {n_skipped} skipped to stay fresh, at most 30.0 ms waited{rarer}"
+    assert code == 0 and re.search(rf"{re.escape(told)}(;|$)", err, re.MULTILINE)
+
+
+def test_keep_up_may_be_given_for_a_stream_among_recordings(program):
+    words = "run", sample_recordings()[7], "udp://127.0.0.1:0?timeout_s=.01"
+    _, out, err = program(*words, "--keep-up", 60_000)
+    assert out and "0 skipped to stay fresh" in err and "--keep-up belongs" not in err
+
+
+def test_of_sources_that_cannot_be_opened_the_last_is_the_error_and_the_others_are_told(
+    tmp_path, capsys
+):
+    pixels = ModelPixels(Pixels(), (34, 34))
+    port = free_port()
+    url = f"udp://127.0.0.1:{port}"
+    paths = [tmp_path / "a.npy", url + "?format=jpeg", tmp_path / "b.npy"]
+    with pytest.raises(FileNotFoundError, match=r"b\.npy"):
+        find_sources(paths, pixels)
+    first, second = capsys.readouterr().err.splitlines()
+    assert "a.npy" in first and "`format` must be one of" in second
+    # the first that can be opened is closed again, and the others are not tried
+    find_sources([tmp_path / "a.npy", url, tmp_path / "b.npy"], pixels)
+    find_sources([sample_recordings()[7], tmp_path / "b.npy"], pixels)
+    UdpSource(port=port).close()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("keep_up", [(), ("--keep-up", 60_000)])
+def test_when_decisions_fail_the_source_is_closed_and_counted(keep_up, program, monkeypatch):
+    """A source that waits for its next packet is woken by that."""
+    closed = threading.Event()
+
+    class Source:
+        name = "camera"
+        sensor = 34, 34
+
+        def __iter__(self):
+            yield EVENTS[:400]
+            yield ([-1], [0], [0], [1])  # no time
+            assert closed.wait(PATIENCE_S)
+
+        def close(self):
+            closed.set()
+
+        def summary(self):
+            return "3 packets"
+
+    monkeypatch.setattr("async_tnt.cli.packets.open_source", lambda *_: Source())
+    code, _, err = program("run", "camera", *keep_up)
+    assert code == 2 and closed.is_set() and "camera: 3 packets" in err
+    assert "`t` must be" in err.splitlines()[-1]

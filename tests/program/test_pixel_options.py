@@ -137,5 +137,7 @@ def test_a_map_model_reads_a_camera_of_any_size_that_is_known(sets, tmp_path, pr
     assert (
         "a sensor of 100x80 pixels, but the model is for 34x34; give --sensor 100x80\n" in message
     )
+    mask = ("--mask", sets / "large.npy")
+    assert program(*words, large, *REGION, *mask)[0] == 0  # the region counts more than the mask
     np.save(tmp_path / "a.npy", open_recording(large).read())
     assert program(*words, tmp_path / "a.npy", "--mask", sets / "large.npy")[0] == 0

@@ -12,14 +12,16 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from full_disk import full_after
 from listening import free_port, sent
-from made import random_events
+from made import events_of, random_events
 from sources.test_cameras import PlayedDevice, made_events
 
+from async_tnt import __version__
 from async_tnt.cli import main, record
 from async_tnt.sources.files import dat_writer
 from async_tnt.sources.files.dat_writer import DatWriter
@@ -322,18 +324,32 @@ def read_back(files):
 def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(
     program, tmp_path, monkeypatch
 ):
-    device = PlayedDevice(made_events(5, 9, 30), OSError("no such device"), sensor=(34, 34))
+    events = made_events(5, 9, 30)
+    events["on"][:2] = True
+    device = PlayedDevice(events, OSError("no such device"), sensor=(34, 34))
+    monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
     monkeypatch.setattr(
         record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played")
     )
     code, out, err = program("record", "camera", "--class", "wave", "--out", tmp_path)
     (path,) = (tmp_path / "wave").glob("*.dat")
-    assert code == 2 and "3 events" in out
+    counts = "1 packets, 3 events (lost: unknown)"
+    assert code == 2 and out == f"{path}: 3 events, 67% ON; {counts}\n"
     assert "the camera is gone after 3 events" in err.splitlines()[-1]
     assert open_recording(path).read()["t"].tolist() == [0, 4, 25]
     about = json.loads(path.with_suffix(".json").read_text())
-    assert about["source"] == "EVK4 0042 by played"
-    assert about["settings"] == device.settings and device.n_closed
+    assert about == {
+        "source": "EVK4 0042 by played",
+        "class": "wave",
+        "sensor": [34, 34],
+        "started": "20261126_120000",
+        "first_us": 5,
+        "events": 3,
+        "counts": counts,
+        "settings": device.settings,
+        "async_tnt": __version__,
+    }
+    assert device.n_closed
 
 
 @pytest.mark.parametrize("n, room", [(100, 50_003), (5_000, 50_003), (100, 79_003)])
@@ -389,6 +405,13 @@ def test_where_the_disk_has_no_room_for_an_event_no_file_is_left(
             "udp://127.0.0.1:PORT --class x --seconds 0",
             "--seconds must be a positive number, got 0.0",
         ),
+        *(
+            (
+                f"udp://127.0.0.1:PORT --class x --sensor 9x9 --seconds {seconds}",
+                f"--seconds must be a positive number, got {seconds}",
+            )
+            for seconds in ("inf", "nan", "1e+30")
+        ),
         (
             "udp://127.0.0.1:PORT --class x --sensor 20000x9",
             "DAT files hold 16384 pixels a side",
@@ -408,7 +431,8 @@ def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(
     assert not [path for path in tmp_path.rglob("*") if path.name != "new"]
 
 
-NO_CLASSES = ("", ".", "..", "/", "a/", ".a", " a", "  ", "a" * 256, "é" * 128, "a\0b", "a\nb")
+BLANK_OR_HIDDEN = ("", "  ", " a", "a ", ".a", ".", "..")
+NO_CLASSES = (*BLANK_OR_HIDDEN, "/", "a/", "a" * 256, "é" * 128, "a\0b", "a\nb")
 """Names that no folder of a class can have."""
 
 
@@ -489,3 +513,75 @@ def test_a_terminal_shows_the_last_events_and_their_rate(encoding, blocks, monke
     assert len(lit) == 2 and all(line.rstrip().endswith(tuple(blocks)) for line in lit)
     terminal.close()
     picture.show(events)  # the recording goes on without it
+
+
+class Terminal(io.StringIO):
+    encoding = "utf-8"
+
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def pictures(monkeypatch):
+    """A function of (columns, lines) that gives a terminal, a picture of a 10 x 10 sensor on it,
+    and its clock, in seconds, as a list of one number."""
+
+    def arrange(columns, lines, terminal=None):
+        terminal = terminal or Terminal()
+        now_s = [10.0]
+        monkeypatch.setattr("sys.stderr", terminal)
+        monkeypatch.setenv("COLUMNS", str(columns))
+        monkeypatch.setenv("LINES", str(lines))
+        monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+        return terminal, record._Picture((10, 10), "wave"), now_s
+
+    return arrange
+
+
+def at_pixels(*pixels):
+    """Five events at each of these pixels (x, y)."""
+    x, y = np.repeat(np.array(pixels), 5, axis=0).T
+    return events_of(np.arange(len(x)), x, y, [1] * len(x))
+
+
+def test_a_picture_shows_the_events_since_the_one_before_by_hand(pictures):
+    """A character is a pixel wide and two high."""
+    terminal, picture, now_s = pictures(columns=11, lines=7)
+    now_s[0] += 0.05
+    picture.show(at_pixels((2, 3)))  # too early to draw
+    assert terminal.getvalue() == ""
+    now_s[0] += 0.45
+    picture.show(at_pixels((9, 4), (0, 8), (0, 9)))
+    first = ["", "  ▄", "         ▀", "", "█"]
+    now_s[0] += 2
+    picture.show(at_pixels((5, 0)))
+    second = ["     ▀", "", "", "", ""]
+    captions = "wave: 0.5 s, 40 events a second", "wave: 2.5 s, 2 events a second"
+    expected = ""
+    for lines, caption in zip((first, second), captions, strict=True):
+        up = "\x1b[6A" if expected else ""
+        rows = [line.ljust(10) for line in lines] + [caption]
+        expected += up + "".join(f"\r{row}\n" for row in rows)
+    assert terminal.getvalue() == expected
+
+
+@pytest.mark.parametrize(
+    ("columns", "lines", "is_shown"),
+    [(10, 7, True), (9, 7, False), (10, 6, False), (1, 1, False), (500, 500, True)],
+)
+def test_a_picture_needs_room_and_takes_no_more_than_it_needs(pictures, columns, lines, is_shown):
+    terminal, picture, now_s = pictures(columns, lines)
+    now_s[0] += 1
+    picture.show(at_pixels((2, 3)))
+    rows = terminal.getvalue().replace("\r", "").splitlines()
+    assert bool(rows) == is_shown
+    if columns == 500:
+        assert len(rows) == 21 and all(len(row) == 64 for row in rows)
+
+
+def test_nothing_is_drawn_into_a_file(pictures):
+    terminal, picture, now_s = pictures(80, 24, io.StringIO())
+    now_s[0] += 1
+    picture.show(at_pixels((2, 3)))
+    assert terminal.getvalue() == ""

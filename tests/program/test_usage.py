@@ -81,7 +81,10 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
             "plot events --sensor=--",
             "async-tnt plot: argument --sensor: expected a value, got '--'",
         ),
-        ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
+        *(
+            (f"run --roi {region}", "must be four whole numbers X,Y,WIDTH,HEIGHT")
+            for region in ("1,2,3", "1,2,3,4,5", "1,2,3,4.5")
+        ),
         (
             "run --every-us " + "9" * 5000,
             "argument --every-us: must be a whole number of at least 1, got '999",

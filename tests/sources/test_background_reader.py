@@ -7,6 +7,7 @@ import asyncio
 import collections
 import itertools
 import threading
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -111,6 +112,19 @@ def test_an_error_of_the_source_comes_after_the_packets_before_it(read, latest, 
     assert list(reader) == []  # once; then it has ended
 
 
+def test_a_reader_keeps_to_the_longest_delay(monkeypatch):
+    """A packet may wait exactly so long."""
+    now_us = 0
+    clock = SimpleNamespace(monotonic_ns=lambda: now_us * 1000)
+    monkeypatch.setattr("async_tnt.sources.queues.queue.time", clock)
+    for waited_us, n_skipped in ((1_000, 0), (1_001, 500)):
+        with BackgroundReader(EQUAL[:3], latest=True, max_delay_us=1_000) as reader:
+            until(lambda: reader.backlog == 750)
+            now_us += waited_us
+            next(reader)
+            assert reader.n_skipped == n_skipped
+
+
 # -- closing ---------------------------------------------------------------------------------------
 
 
@@ -151,6 +165,46 @@ def test_who_closes_a_reader_wants_no_error_any_more_and_wakes_the_source_once(r
     reader.close()
     reader.close()
     assert read(reader) == [] and woken == [1]
+
+
+def test_closing_waits_for_the_thread_no_longer_than_it_is_told():
+    """Here for no time at all: the source does not end."""
+    source = Source(gate_at=0)
+    reader = BackgroundReader(source)
+    waits = []
+    reader._thread = SimpleNamespace(join=waits.append)
+    reader.close(0.25)
+    asyncio.run(reader.aclose(0.5))
+    reader.close()
+    source.gate.set()
+    assert waits == [0.25, 0.5, 1.0]
+
+
+def test_while_a_task_waits_for_the_thread_others_run():
+    source = Source(gate_at=0)
+
+    async def run():
+        closing = asyncio.create_task(BackgroundReader(source).aclose(5))
+        await asyncio.sleep(0)
+        was_over = closing.done()
+        source.gate.set()
+        await closing
+        return was_over
+
+    assert not asyncio.run(run())
+
+
+def test_a_packet_that_was_handed_out_belongs_to_its_reader_alone():
+    """While the thread waits for the next one, too: its memory is free as soon as that is."""
+    source = Source([EQUAL[0].copy() for _ in range(2)], gate_at=1)
+    with BackgroundReader(source, copy=False) as reader:
+        packet = next(reader)
+        source.packets[0] = None
+        until(lambda: source.n_asked == 2)
+        memory = weakref.ref(packet)
+        del packet
+        assert memory() is None
+        source.gate.set()
 
 
 # -- arguments -------------------------------------------------------------------------------------
@@ -208,6 +262,34 @@ def test_every_form_is_copied_and_counted(form):
     assert queue.counters.handed_out == 100
 
 
+@pytest.mark.parametrize("make", [PacketQueue, BackgroundReader])
+@pytest.mark.parametrize("form", ["records", "columns"])
+@pytest.mark.parametrize("copy", [True, False])
+def test_packets_are_the_sources_own_where_no_copies_are_asked_for(make, form, copy):
+    packets = [FORMS[form](EQUAL[k]) for k in range(3)]
+    if make is BackgroundReader:
+        reader = BackgroundReader(packets, copy=copy)
+    else:
+        reader = PacketQueue(copy=copy)
+        for packet in packets:
+            reader.put(packet)
+        reader.end()
+    got = list(reader)
+    assert [one is packet for one, packet in zip(got, packets, strict=True)] == [not copy] * 3
+    shared = [np.shares_memory(one[0], packet[0]) for one, packet in zip(got, packets, strict=True)]
+    assert shared == [not copy] * 3
+
+
+def test_a_copy_has_the_type_of_its_packet():
+    objects = np.dtype([(name, "O") for name in "txyp"])
+    for packet in (EQUAL[0].view(np.recarray), EQUAL[0].astype(objects)):
+        queue = PacketQueue()
+        queue.put(packet)
+        got = next(queue)
+        assert type(got) is type(packet) and got.dtype == packet.dtype
+        assert got.tolist() == packet.tolist() and not np.shares_memory(got, packet)
+
+
 def test_latest_discards_the_oldest():
     queue = PacketQueue(max_packets=4, latest=True, copy=False)
     assert all(map(queue.put, EQUAL[:20]))
@@ -260,6 +342,26 @@ def test_delay_is_the_age_of_the_packet_handed_out(monkeypatch):
     next(queue)
     now_us = 25
     assert (queue.counters.longest_wait_us, queue.delay_us) == (20, 25)
+    queue.put(EQUAL[1])
+    now_us = 30
+    next(queue)
+    assert (queue.counters.longest_wait_us, queue.delay_us) == (20, 5)
+
+
+def test_the_wait_for_room_is_a_part_of_the_delay(monkeypatch):
+    now_us = 0
+    clock = SimpleNamespace(monotonic_ns=lambda: now_us * 1000)
+    monkeypatch.setattr("async_tnt.sources.queues.queue.time", clock)
+    queue = PacketQueue()
+
+    def wait_for_room():
+        nonlocal now_us
+        now_us += 500
+
+    monkeypatch.setattr(queue, "wait_for_room", wait_for_room)
+    queue.put(EQUAL[0])
+    next(queue)
+    assert (queue.counters.longest_wait_us, queue.delay_us) == (500, 500)
 
 
 # -- asyncio ---------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ dtypes. dv-processing makes stores.
 
 import json
 import time
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,9 +18,11 @@ from made import random_events
 from sources.test_cameras import RECORD
 
 from async_tnt.sources import open_camera, open_recording, sample_recordings
+from async_tnt.sources.live import camera_drivers
 from async_tnt.sources.live.camera_drivers import (
     DV_KINDS,
     NEUROMORPHIC_KINDS,
+    WAIT_S,
     DvDevice,
     dv_cameras,
     neuromorphic_cameras,
@@ -39,7 +42,7 @@ class Neuromorphic:
 
     kinds = NEUROMORPHIC_KINDS
     find = staticmethod(neuromorphic_cameras)
-    lost = ("gaps: 4", "raw packets dropped: 10")
+    lost = ("gaps: 8", "raw packets dropped: 10")
 
     def __init__(self, packets=(), model="Prophesee EVK4"):
         self._module = pytest.importorskip(
@@ -83,7 +86,7 @@ class Neuromorphic:
             made.polarity_events = np.empty(len(events), RECORD)
             for ours, theirs in zip("txyp", RECORD.names, strict=True):
                 made.polarity_events[theirs] = events[ours]
-            made.polarity_events_overflow_indices = np.array([0], np.uint64)
+            made.polarity_events_overflow_indices = np.array([0, 0], np.uint64)
         return made
 
     def close(self):
@@ -195,6 +198,87 @@ def test_settings_are_what_the_library_tells_when_the_camera_is_opened(library):
     else:
         assert settings["biases"].keys() >= {"diff_on", "diff_off", "refr"}
     json.dumps(settings, default=str)
+
+
+class PlayedHandle:
+    """An opened camera of dv-processing, which needs no library. What it returns is played: a store
+    of events, or None; then it stops running."""
+
+    def __init__(self, *batches):
+        self._batches = list(batches)
+
+    def getEventResolution(self):
+        return 34, 34
+
+    def isRunning(self):
+        return bool(self._batches)
+
+    def getNextEventBatch(self):
+        return self._batches.pop(0) if self._batches else None
+
+    def stop_with(self, batch):
+        """Stop, with a last batch that can still be read."""
+        self._batches = []
+        self.getNextEventBatch = lambda: self.__dict__.pop("last", None)
+        self.last = batch
+
+
+def test_events_that_come_while_a_camera_stops_are_read(monkeypatch):
+    """It stops, and has a last batch, just after the device has found none."""
+    last = SimpleNamespace(numpy=lambda: random_events(5))
+    handle = PlayedHandle(None, None)
+    device = DvDevice(lambda descriptor: handle, None)
+    next_batch = handle.getNextEventBatch
+
+    def none_and_stop():
+        assert next_batch() is None
+        handle.stop_with(last)
+
+    naps = []
+    monkeypatch.setattr(camera_drivers.time, "sleep", naps.append)
+    handle.getNextEventBatch = none_and_stop
+    assert device.read() is None and naps == [camera_drivers.PAUSE_S]
+    assert len(device.read()) == 5
+    with pytest.raises(RuntimeError, match="it stopped running"):
+        device.read()
+
+
+def test_closing_a_camera_of_dv_processing_lets_go_of_it():
+    """The library releases a camera when nothing refers to it any more."""
+    handles = [PlayedHandle(None)]
+    camera = Camera(DvDevice(lambda descriptor: handles.pop(), None), "played")
+    handle = weakref.ref(camera.device)
+    assert handle() is not None
+    camera.close()
+    assert handle() is None and camera.device is None
+
+
+def test_a_camera_without_a_serial_number_is_opened_by_its_address():
+    opened_by = []
+    listed = [
+        SimpleNamespace(
+            name=SimpleNamespace(value="Lucid Triton"), serial=serial, address=address, error=None
+        )
+        for serial, address in (("7", "10.0.0.7"), (None, "10.0.0.8"))
+    ]
+    library = SimpleNamespace(list_devices=lambda: listed, open=lambda **how: opened_by.append(how))
+    for found in neuromorphic_cameras(library):
+        with pytest.raises(AttributeError):  # nothing was opened
+            found.open()
+    assert opened_by == [
+        {"iterator_timeout": WAIT_S, "serial": "7"},
+        {"iterator_timeout": WAIT_S, "address": "10.0.0.8"},
+    ]
+
+
+def test_dv_processing_tells_no_serial_number_by_an_empty_one():
+    model = SimpleNamespace(name="DVXPLORER_M")
+    library = SimpleNamespace(
+        discover=lambda: [SimpleNamespace(cameraModel=model, serialNumber="")], open=None
+    )
+    (found,) = dv_cameras(library)
+    assert (found.serial, str(found)) == (None, "DVXPLORER_M")
+    assert found.kinds == ("dvxplorer", "dvxplorer-m")
 
 
 def test_a_file_of_dv_processing_read_as_a_camera(tmp_path):

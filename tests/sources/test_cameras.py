@@ -8,6 +8,7 @@ import json
 import threading
 from contextlib import contextmanager
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from async_tnt.sources import (
     open_source,
     sample_recordings,
 )
+from async_tnt.sources.live import cameras
 from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
@@ -283,6 +285,32 @@ def test_events_whose_time_jumps_are_left_out():
     came = list(islice(camera, 2))
     assert came[0]["t"].tolist() == [1] and came[1] is packets[2] and camera.counts.packets == 2
     assert camera.summary() == "2 packets, 2 events (jumps in time: 2, lost: unknown)"
+
+
+def test_a_time_may_lie_a_second_ahead_by_the_cameras_clock_and_by_ours(monkeypatch):
+    """Beyond the time that has passed here since."""
+    now_us = [7_000_000]
+    clock = SimpleNamespace(monotonic_ns=lambda: 1_000 * now_us[0])
+    monkeypatch.setattr(cameras, "time", clock)
+    _, camera = opened(
+        made_events(5, 1_000_005, 2_000_006), made_events(12_000_005, 13_000_006), made_events(7)
+    )
+    packets = iter(camera)
+    assert next(packets)["t"].tolist() == [5, 1_000_005]
+    now_us[0] += 10_000_000
+    assert next(packets)["t"].tolist() == [12_000_005]
+    assert camera.counts.jumped == 2
+
+
+def test_a_camera_that_starts_again_goes_on_and_its_counts_say_so():
+    _, camera = opened(made_events(HOUR_US), *[made_events(k, 10 + k) for k in range(9)])
+    before = camera.counts
+    times = [packet["t"].tolist() for packet in islice(camera, 3)]
+    assert times == [[HOUR_US], [HOUR_US, HOUR_US + 10], [HOUR_US + 1, HOUR_US + 11]]
+    assert (camera.counts.clock_restarts, before.clock_restarts, before.events) == (1, 0, 0)
+    assert camera.summary() == (
+        "3 packets, 5 events (clock restarts: 1, jumps in time: 14, lost: unknown)"
+    )
 
 
 def test_events_off_the_sensor_are_left_out_and_counted_once():

@@ -68,6 +68,17 @@ def test_the_bounds_by_hand(time, arrival_us, kept):
     assert by_clock([[MINUTE_US], [time]], [0, arrival_us]) == expected
 
 
+@pytest.mark.parametrize(
+    ("max_jump_s", "jump_us"),
+    [(0.25, 250_000), (2.5, 2_500_000), (0.000_001_6, 2), (1.1, 1_100_000)],
+)
+def test_the_largest_jump_is_rounded_to_a_microsecond(max_jump_s, jump_us):
+    for too_far in (0, 1):
+        time = MINUTE_US + jump_us + too_far
+        kept, _ = by_clock([[MINUTE_US], [time]], max_jump_s=max_jump_s)
+        assert kept == [[MINUTE_US], [] if too_far else [time]]
+
+
 @pytest.mark.parametrize("place", [0, 3])
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("garbled", [21 * MINUTE_US, 2**62, 2**63 + 5])
@@ -222,11 +233,18 @@ def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
 
 
 def test_wrong_arguments():
-    for max_jump_s in (0, -1, float("nan"), float("inf")):
+    for max_jump_s in (0, -1, float("nan"), float("inf"), 1e9):
         with pytest.raises(
             ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"
         ):
             Clock(max_jump_s)
+
+
+@pytest.mark.parametrize("dtype", [[("t", "<u4"), ("x", "<u2")], "<u8"])
+def test_times_of_32_bits_and_what_has_no_fields_are_refused(dtype):
+    """The kernel would read beyond a time of 32 bits."""
+    with pytest.raises(TypeError, match=r"^the field `t` must be a time of 64 bits, got "):
+        Clock(10.0)(np.zeros(3, dtype), "t", 0)
 
 
 # -- applied to the network ------------------------------------------------------------------------

@@ -12,7 +12,12 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.pixels.hot_pixels import count_pixels, hot_pixels, learn_mask
+from async_tnt.sources.pixels.hot_pixels import (
+    count_pixels,
+    hot_pixels,
+    learn_mask,
+    listed_pixels,
+)
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
 from async_tnt.sources.pixels.pixel_masks import load_mask
 
@@ -94,6 +99,13 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
     assert hot_pixels(counts).any() == is_hot
 
 
+def test_hot_pixels_are_listed_busiest_first():
+    counts = np.array([[7, 9, 1], [8, 9, 2]])
+    assert listed_pixels(counts, counts > 6) == [
+        {"x": x, "y": y, "events": n} for x, y, n in ((1, 0, 9), (1, 1, 9), (0, 1, 8), (0, 0, 7))
+    ]
+
+
 def test_an_event_off_the_sensor_is_refused():
     with pytest.raises(ValueError, match=r"^`x` must be in \[0, 34\), got 34 at event 0$"):
         learn_mask([([1], [34], [0], [1])], SENSOR)
@@ -138,6 +150,26 @@ def test_it_finds_what_was_planted(tmp_path, program):
         "hot_pixels": pixels,
         "share": sum(at) / len(events),
     }
+
+
+def test_several_recordings_count_as_one_and_share_the_sensor_that_one_states(tmp_path, program):
+    """A pixel that is hot in each, and one that is only in the first; in either order."""
+    out = tmp_path / "mask.npy"
+    for k in range(2):
+        hot = [(30, 2, 40), (3, 31, 400)][: 2 - k]
+        with_hot_pixels(tmp_path / f"{k}.npy", *hot)
+    np.savez(tmp_path / "stated.npz", events=EVENTS[:100], sensor=np.array(SENSOR))
+    paths = [tmp_path / name for name in ("stated.npz", "0.npy", "1.npy")]
+    counts = np.zeros((34, 34), np.int64)
+    for path in paths:
+        events = open_recording(path).read()
+        np.add.at(counts, (events["y"], events["x"]), 1)
+    code, printed, _ = program("mask", *paths, "--out", out, "--json")
+    report = json.loads(printed)
+    assert code == 0 and report["events"] == counts.sum() and report["sensor"] == [34, 34]
+    assert [[pixel["x"], pixel["y"]] for pixel in report["hot_pixels"]] == [[3, 31], [30, 2]]
+    assert report["hot_pixels"][0]["events"] == counts[31, 3]
+    np.testing.assert_array_equal(np.load(out), hot_pixels(counts))
 
 
 @pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])

@@ -130,12 +130,44 @@ def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
         clock.now_us += 1_000 * percent
         next(reader)
         assert (reader.slower, processor.every_us) == (slower, 1_000 * slower), (k, percent)
+    assert reader.slowest == 4  # though decisions are frequent again
     # one after the other, without a pause
     for percent, slower in ((26, 2), (24, 2), (26, 4), (51, 8), (4, 8)):
         reader.put(packet(k))
         clock.now_us += 1_000 * percent
         next(reader)
         assert reader.slower == slower, percent
+
+
+@pytest.mark.parametrize(
+    ("window", "trigger", "slowest", "rarest"),
+    [
+        ({"window_us": 100_000}, {"every_us": 1_000}, 128, 100_000),  # a window has 100
+        ({"window_us": 100_000}, {"every_us": 30_000}, 4, 100_000),
+        ({"window_us": 100_000}, {"every_us": 150_000}, 1, 150_000),
+        ({"window_us": 100_000}, {"every_us": 50}, 1_024, 51_200),
+        ({"window_events": 1_000}, {"every_events": 30}, 1_024, 1_000),
+        ({"window_events": 1_000}, {"every_events": 3_000}, 1_024, 3_000),
+        ({"window_us": 100_000}, {"every_events": 3}, 1_024, 3_072),
+        ({"window_us": 100_000}, {}, 1, None),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::async_tnt.base.checks.ParameterWarning")
+def test_decisions_become_no_rarer_than_one_a_window(
+    window, trigger, slowest, rarest, clock, reader_of
+):
+    """And by a factor of 1,024 at most; a trigger that is rarer by itself stays as it is."""
+    processor = Processor(TNTConfig(**window), classifier=lambda volume: [0.0], **trigger)
+    reader = reader_of(processor, max_delay_us=100_000)
+    for k in range(15):
+        reader.put(packet(k))
+        clock.now_us += 60_000
+        next(reader)
+    (name,) = trigger or ("every_us",)
+    assert (reader.slower, reader.slowest) == (slowest, slowest)
+    assert getattr(processor, name) == rarest
+    reader.close()
+    assert getattr(processor, name) == trigger.get(name) and reader.slower == 1
 
 
 def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of):
@@ -152,6 +184,22 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     with reader:
         pass
     assert processor.every_us == 1_000  # it is as it was at first
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_it_copies_packets_only_if_it_is_asked_to_and_wakes_its_source(copy):
+    woken = threading.Event()
+    packets = [packet(0), packet(1)]
+
+    def source():
+        yield from packets
+        assert woken.wait(PATIENCE_S)
+
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0])
+    with KeepUp(source(), processor, max_delay_us=10**9, copy=copy, on_close=woken.set) as reader:
+        got = [next(reader), next(reader)]
+    assert [one is given for one, given in zip(got, packets, strict=True)] == [not copy] * 2
+    assert woken.is_set()
 
 
 @pytest.mark.parametrize("kind", ["KeepUp", "PacketQueue"])

@@ -16,7 +16,7 @@ from made import nasty_streams, random_events
 import async_tnt
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.sources.pixels.pixel_filter import PixelCounts, PixelFilter
-from async_tnt.sources.pixels.pixel_masks import save_mask
+from async_tnt.sources.pixels.pixel_masks import load_mask, save_mask
 from async_tnt.sources.pixels.pixels import Pixels
 
 SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
@@ -88,6 +88,14 @@ def test_filter_equals_numpy(data, settings):
             r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* "
             r"got \(-1, 0, 3, 2\)",
         ),
+        (
+            {"roi": (0, -1, 3, 2)},
+            r"`roi` .* must lie on the sensor of 30x20 .*, got \(0, -1, 3, 2\)",
+        ),
+        (
+            {"roi": (28, 5, 3, 2)},
+            r"`roi` .* must lie on the sensor of 30x20 .*, got \(28, 5, 3, 2\)",
+        ),
         ({"roi": (5, 5, 0, 1)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 0, 1\)"),
         ({"roi": (5, 5, 1, 0)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 1, 0\)"),
         (
@@ -100,6 +108,10 @@ def test_filter_equals_numpy(data, settings):
             r"a mask of a 30x20 sensor must be .* \(30, 20\); transpose it with .T",
         ),
         (
+            {"mask": np.zeros((30, 21), bool)},
+            r"a mask of a 30x20 sensor must be .*; got shape \(30, 21\)",
+        ),
+        (
             {"mask": np.zeros((20, 30), np.uint8)},
             r"a mask of a 30x20 .* got uint8 of shape \(20, 30\)",
         ),
@@ -108,6 +120,34 @@ def test_filter_equals_numpy(data, settings):
 def test_wrong_arguments(settings, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         PixelFilter(**({"sensor": (30, 20)} | settings))
+
+
+def test_a_mask_that_was_loaded_is_the_callers_own(tmp_path):
+    """Its file may be written again, and the array be changed."""
+    path = tmp_path / "mask.npy"
+    save_mask(path, np.ones((2, 3), bool))
+    mask = load_mask(path, (3, 2))
+    save_mask(path, np.zeros((2, 3), bool))
+    mask[1, 2] = False
+    assert type(mask) is np.ndarray
+    assert mask.tolist() == [[True, True, True], [True, True, False]]
+    assert not load_mask(path).any()
+
+
+@pytest.mark.parametrize(
+    ("mask", "message"),
+    [
+        (np.zeros((2, 0), bool), r"got shape \(2, 0\)"),
+        (np.zeros((1, 32_769), bool), r"got shape \(1, 32769\)"),
+        (np.zeros(5, bool), r"got shape \(5,\)"),
+        ([[True]], "got list"),
+    ],
+)
+def test_what_no_mask_of_any_sensor_can_be_is_refused(tmp_path, mask, message):
+    rule = r"a mask must be a bool array of shape \(height, width\), sides in \[1, 32768\]; "
+    with pytest.raises(ValueError, match=f"^{rule}{message}$"):
+        save_mask(tmp_path / "mask.npy", mask)
+    assert not list(tmp_path.iterdir())
 
 
 # -- which pixels, as a value ----------------------------------------------------------------------
@@ -191,6 +231,30 @@ ROI = (10, 4, 40, 40)
             "but mask is a mask of 60x48$",
         ),
         (
+            Pixels((3, 4, 34, 34), True, np.zeros((48, 60), bool), (60, 48)),
+            (34, 34),
+            (50, 50),
+            "but `sensor` says 60x48$",
+        ),
+        (
+            Pixels(mask=np.zeros((48, 60), bool)),
+            (34, 34),
+            (60, 48),
+            "^mask is a mask of 60x48 pixels, but the model is for 34x34; train one",
+        ),
+        (
+            Pixels(sensor=(60, 48)),
+            (34, 34),
+            (60, 48),
+            "^`sensor` says 60x48 pixels, but the model is for 34x34; train one",
+        ),
+        (
+            Pixels(ROI, True),
+            (34, 34),
+            (60, 48),
+            "^`crop`: the model is for 34x34 pixels, got a region of 40x40; give `roi` X,Y,34,34$",
+        ),
+        (
             Pixels(ROI, True),
             (40, 40),
             None,
@@ -203,3 +267,46 @@ def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(
 ):
     with pytest.raises(ValueError, match=message):
         ModelPixels(pixels, model).filter_of("a", found)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "model", "message"),
+    [
+        (Pixels(ROI), (40, 40), "^`roi` .* must lie on the sensor of 40x40 pixels"),
+        (Pixels(ROI, True, sensor=(45, 60)), (40, 40), "^`roi` .* on the sensor of 45x60 pixels"),
+    ],
+)
+def test_a_region_off_the_expected_camera_is_refused_before_a_source_is_opened(
+    pixels, model, message
+):
+    with pytest.raises(ValueError, match=message):
+        ModelPixels(pixels, model)
+
+
+def test_a_mask_must_have_the_size_that_is_stated():
+    with pytest.raises(
+        ValueError,
+        match=r"^mask: a mask of 3x2 pixels, but the camera's are given as 4x2 \(`sensor`\)$",
+    ):
+        Pixels(mask=np.zeros((2, 3), bool), sensor=(4, 2))
+
+
+def test_what_was_left_out_is_told_of_all_sources_together():
+    events = random_events(200, sensor=(30, 20))
+    wide = random_events(100, sensor=(60, 48), seed=1)
+    sees = ModelPixels(Pixels((3, 4, 10, 9), True), (10, 9))
+    n_left = 0
+    for found, packet in (((30, 20), events), ((60, 48), wide), ((30, 20), events)):
+        assert sees.filter_of("a", found) is sees.filter_of("b", found)
+        n_left += len(sees.filter_of("a", found)(packet))
+    assert 0 < n_left < 100 and sees.summary() == f"{500 - n_left} outside of the region"
+
+
+def test_of_region_and_mask_each_has_its_own_number():
+    mask = np.zeros((20, 30), bool)
+    mask[5, 4:6] = True
+    sees = ModelPixels(Pixels((3, 4, 10, 9), True, mask), (10, 9))
+    assert sees.summary() == ""  # nothing came
+    packet = ([1, 2, 3, 4, 5], [4, 5, 6, 2, 3], [5, 5, 5, 5, 3], [1] * 5)
+    assert sees.filter_of("a", (30, 20))(packet).tolist() == [(3, 3, 1, 1)]
+    assert sees.summary() == "2 outside of the region, 2 of masked pixels"

@@ -63,6 +63,14 @@ def test_an_event_out_of_order_is_due_with_the_newest_before(clock, packets, pla
     assert [packet["t"].tolist() for packet in replay(packets)] == played
 
 
+@pytest.mark.parametrize("packet_us", [1, 300, 5_000, 10**9])
+def test_a_packet_has_the_events_of_one_part_of_so_many_microseconds(clock, packet_us):
+    packets = list(replay(EVENTS, math.inf, packet_us=packet_us))
+    parts = (EVENTS["t"] - EVENTS["t"][0]) // packet_us
+    assert [len(packet) for packet in packets] == np.unique(parts, return_counts=True)[1].tolist()
+    assert np.concatenate(packets).tobytes() == EVENTS.tobytes() and clock.now_ns == 123
+
+
 def test_no_pause_is_too_long_for_the_system(clock):
     """The system refuses to sleep for three centuries.
 

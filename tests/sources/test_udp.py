@@ -3,10 +3,12 @@
 import random
 import socket
 import threading
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from listening import send
+from listening import free_port, send
 from made import events_of, random_events
 
 from async_tnt.sources import UdpSource, encode, open_udp
@@ -115,6 +117,40 @@ def test_the_summary_is_one_line_of_what_was_counted():
     )
 
 
+def test_a_sender_that_starts_again_is_counted():
+    """Eight datagrams agree that its clock moved back."""
+    with UdpSource(port=0) as source:
+        for k in range(9):
+            send(source.port, events_of([60_000_000 if k == 0 else k], [0], [0], [0]))
+        times = []
+        while len(times) < 2:
+            times += source.receive(60)["t"].tolist()
+        counts = source.counts
+    assert times == [60_000_000] * 2
+    assert (counts.clock_restarts, counts.jumped, counts.malformed) == (1, 7, 7)
+    assert source.summary().endswith(
+        "2 events (7 malformed, 7 of them time jumps, 0 out of order, clock restarts: 1)"
+    )
+
+
+def test_by_default_a_time_may_lie_ten_seconds_ahead():
+    """In one datagram, so that no time passes."""
+    with UdpSource(port=0) as source:
+        send(source.port, events_of([5, 10_000_005, 20_000_006], [0] * 3, [0] * 3, [0] * 3))
+        assert source.receive(60)["t"].tolist() == [5, 10_000_005]
+
+
+def test_events_without_times_have_that_of_their_arrival_since_the_source_was_opened(monkeypatch):
+    now_ns = [5_000_000_000]
+    clock = SimpleNamespace(monotonic_ns=lambda: now_ns[0], monotonic=time.monotonic)
+    monkeypatch.setattr("async_tnt.sources.live.udp.time", clock)
+    with UdpSource(port=0, format="spif") as source:
+        for passed_us in (0, 1, 70, 2_000_000):
+            now_ns[0] = 5_000_000_999 + 1_000 * passed_us
+            send(source.port, EVENTS[:2], "spif")
+            assert source.receive(60)["t"].tolist() == [passed_us] * 2
+
+
 def test_a_stream_without_one_good_event_is_reported_once(caplog):
     events = events_of(
         range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1, 2] * (WARN_AFTER // 2)
@@ -154,10 +190,32 @@ def test_a_url_has_a_format_and_a_timeout():
         assert again.address == "127.0.0.1"
 
 
+@pytest.mark.parametrize("buffer_bytes", [1 << 14, 1 << 16])
+def test_the_buffer_has_the_bytes_that_were_asked_for(buffer_bytes):
+    with UdpSource(port=0, buffer_bytes=buffer_bytes) as source:
+        assert source.buffer_bytes == buffer_bytes
+
+
+def test_a_wrong_setting_leaves_the_port_free():
+    port = free_port()
+    with pytest.raises(ValueError, match="`format` must be one of"):
+        UdpSource(port=port, format="aer")
+    UdpSource(port=port).close()
+
+
 @pytest.mark.parametrize(
     "url, message",
     [
         ("udp://127.0.0.1", "expected udp://HOST:PORT, such as udp://127.0.0.1:3333"),
+        *(
+            (url, "expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
+            for url in (
+                "tcp://127.0.0.1:1",
+                "udp://127.0.0.1:1/events",
+                "udp://me@127.0.0.1:1",
+                "udp://:1",
+            )
+        ),
         ("udp://127.0.0.1:99999", "Port out of range 0-65535"),
         (
             "udp://127.0.0.1:1?format=aer",

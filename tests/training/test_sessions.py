@@ -12,7 +12,11 @@ from sources.files.written import aedat3
 from training.gestures import bar, write
 
 from async_tnt import TNTConfig
-from async_tnt.sources.files.labelled_recordings import find_recordings, recordings_under
+from async_tnt.sources.files.labelled_recordings import (
+    find_recordings,
+    has_test,
+    recordings_under,
+)
 from async_tnt.sources.files.recording import READERS
 from async_tnt.training.data import dataset_data
 from async_tnt.training.held_out import Split
@@ -281,3 +285,79 @@ def test_a_folder_holds_recordings_of_every_format_with_its_suffix_in_any_case(t
     (tmp_path / "sessions" / "a_labels.csv").write_text(HEADER + "wave,0,1\n")
     (found,) = find_recordings(tmp_path / "sessions")["wave"]
     assert (found.path.name, found.between_us) == (name, (0, 1))
+
+
+def names_in(folder, part_name=None):
+    """Class name -> the names of its recordings."""
+    found = find_recordings(folder, part_name)
+    return {label: [one.name for one in some] for label, some in found.items()}
+
+
+def test_a_session_may_be_a_text(tmp_path):
+    """Beside a recording of another format, a text of its name is a note."""
+    for suffix, rows in ((".csv", "t,x,y,p\n"), (".txt", "")):
+        (tmp_path / f"a{suffix}").write_text(rows)
+        (tmp_path / "a_labels.csv").write_text(HEADER + "wave,5,9\n")
+        assert names_in(tmp_path) == {"wave": [f"a{suffix}[5:9]"]}
+        (tmp_path / f"a{suffix}").unlink()
+    for suffix in (".csv", ".npz"):
+        (tmp_path / f"a{suffix}").touch()
+    assert names_in(tmp_path) == {"wave": ["a.npz[5:9]"]}
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("wave,-1,5\n", "line 2: expected a class, and whole start < end in us, got wave, -1, 5"),
+        ("wave,5,5\n", "line 2: expected a class, and whole start < end in us, got wave, 5, 5"),
+        (",5,6\n", "line 2: expected a class, and whole start < end in us, got , 5, 6"),
+        ("wave,0,5\nclap,5,6\nclap,0,5\n", "line 4: 0 to 5 us is there twice"),
+    ],
+)
+def test_a_part_has_a_class_and_a_length_and_is_there_once(tmp_path, rows, message):
+    (tmp_path / "a.npz").touch()
+    (tmp_path / "a_labels.csv").write_text(HEADER + rows)
+    with pytest.raises(ValueError, match=f"a_labels.csv: {message}$"):
+        find_recordings(tmp_path)
+
+
+def test_parts_of_one_class_may_follow_at_once_and_begin_at_0(tmp_path):
+    (tmp_path / "a.npz").touch()
+    (tmp_path / "a_labels.csv").write_text(HEADER + "wave,0,5\nwave,5,6\nwave,0,6\n")
+    assert names_in(tmp_path) == {"wave": ["a.npz[0:5]", "a.npz[5:6]", "a.npz[0:6]"]}
+
+
+def test_a_part_of_a_data_set_that_holds_nothing_is_not_one(tmp_path):
+    """As a folder Train that was made for something else."""
+    (tmp_path / "Train").mkdir()
+    (tmp_path / "Train" / "notes.md").touch()
+    for name in ("wave/a.npy", "wave/folder.npy/b.npy", "clap/b.npy", "clap/a.npy"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    expected = {"Train": [], "clap": ["clap/a.npy", "clap/b.npy"], "wave": ["wave/a.npy"]}
+    assert names_in(tmp_path, "Train") == names_in(tmp_path) == expected
+    (tmp_path / "Train" / "bow").mkdir()
+    assert names_in(tmp_path, "Train") == {"bow": []}
+
+
+@pytest.mark.parametrize("name", ["trials_to_train.txt", "trials_to_test.txt", "Test"])
+def test_a_list_or_a_folder_sets_recordings_aside(tmp_path, name):
+    assert not has_test(tmp_path)
+    (tmp_path / name).mkdir() if name == "Test" else (tmp_path / name).touch()
+    assert has_test(tmp_path)
+
+
+def test_recordings_below_a_folder_are_sorted_and_links_to_folders_are_not_followed(tmp_path):
+    for name in ("set/b/1.npy", "set/a/2.npy", "set/a/1.npy", "set/a/1_labels.csv", "other/3.npy"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "set" / "more").symlink_to(tmp_path / "other")
+    (tmp_path / "set" / "round").symlink_to(tmp_path / "set")
+    (tmp_path / "set" / "0.npy").symlink_to(tmp_path / "other" / "3.npy")
+    found = recordings_under(tmp_path / "set")
+    assert [str(path.relative_to(tmp_path / "set")) for path in found] == [
+        "0.npy",
+        "a/1.npy",
+        "a/2.npy",
+        "b/1.npy",
+    ]

@@ -171,10 +171,7 @@ def valid_events(
     if _fits(x[:n]) and _fits(y[:n]):
         return structured((t, x, y, ~off), n), problem
 
-    # a uint64 beyond int64 would wrap
-    x = np.minimum(x, MAX_TIME_US)
-    y = np.minimum(y, MAX_TIME_US)
-    return structured((t, x, y, ~off), n, WIDE_DTYPE), problem
+    return structured((t, _within_int64(x), _within_int64(y), ~off), n, WIDE_DTYPE), problem
 
 
 def _fits(pixel: np.ndarray) -> bool:
@@ -182,6 +179,11 @@ def _fits(pixel: np.ndarray) -> bool:
     if pixel.dtype.kind != "b" and pixel.size:
         return int(pixel.min()) >= 0 and int(pixel.max()) < 1 << 16
     return True
+
+
+def _within_int64(pixel: np.ndarray) -> np.ndarray:
+    """Coordinates that int64 can hold: larger ones, which would wrap, become 2**62."""
+    return np.minimum(pixel, MAX_TIME_US) if pixel.dtype == np.uint64 else pixel
 
 
 def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:

@@ -26,6 +26,7 @@ from sources.files.written import (
     written,
 )
 
+from async_tnt.sources.files import aedat, prophesee, text_files
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.volume.events import EVENT_DTYPE
 from experiments.digit_data.nmnist_files import write_nmnist
@@ -254,6 +255,16 @@ def test_times_go_on_through_wraps_pauses_and_disorder(tmp_path, name, make, per
         np.testing.assert_array_equal(open_recording(path).read(), events)
 
 
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_the_clock_goes_on_from_one_block_to_the_next(tmp_path, monkeypatch, name, make, period_us):
+    monkeypatch.setattr(aedat, "BLOCK_EVENTS", 32)
+    monkeypatch.setattr(prophesee, "BLOCK_EVENTS", 40)
+    monkeypatch.setattr(prophesee, "CHUNK_BYTES", 256)
+    wraps = made_events(1_000, sensor=SMALL, step_us=period_us // 200, start_us=period_us // 2)
+    (tmp_path / name).write_bytes(make(wraps))
+    np.testing.assert_array_equal(open_recording(tmp_path / name).read(), wraps)
+
+
 N_LONG = 1_000_000
 N_BLOCK = 100_000
 SLOW_OR_WHOLE = (".txt", ".csv", ".bin", ".npz")
@@ -311,6 +322,27 @@ def test_a_part_between_two_times_is_half_open(tmp_path):
         assert open_recording(path, between_us=(start, end)).read()["t"].tolist() == times
 
 
+def test_the_first_and_the_last_time_are_those_of_all_blocks(tmp_path):
+    """Three blocks, each earlier than the one before."""
+    events = made_events(140_000)
+    events["t"] = 7 + np.arange(140_000)[::-1]
+    recording = open_recording(written(tmp_path / "records.npy", events))
+    assert (recording.earliest_us, recording.duration_us) == (7, 139_999)
+    events["t"] = np.roll(events["t"], 70_000)
+    recording = open_recording(written(tmp_path / "records.npy", events))
+    assert (recording.earliest_us, recording.duration_us) == (7, 139_999)
+
+
+def test_a_part_is_read_up_to_the_first_block_of_later_events(tmp_path, monkeypatch):
+    """Blocks without an event do not end it, and damage behind it is not met."""
+    monkeypatch.setattr(text_files, "CHUNK_BYTES", 20)
+    rows = ["t,x,y,p", "1,1,2,0", *["# no event here"] * 9, "5,1,2,1", "3,1,2,1"]
+    rows += ["10,1,2,0", "11,1,2,0", "12,1,2,0", "13,1,2,0", "what"]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    recording = open_recording(tmp_path / "a.csv", between_us=(0, 10), strict=True)
+    assert recording.read()["t"].tolist() == [1, 5, 3]
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])
 def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
     (tmp_path / f"gone{suffix}").symlink_to(tmp_path / "nowhere")
@@ -357,6 +389,7 @@ def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
             "`columns` must have the letters t, x, y and p, each once, got ",
         ),
         ("a.bin", {"topic": ""}, "`topic` must be the name of a topic, got ''"),
+        ("a.bin", {"topic": 7}, "`topic` must be the name of a topic, got 7"),
         *(
             (
                 "a.bin",

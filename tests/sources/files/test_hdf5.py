@@ -10,6 +10,7 @@ import pytest
 from sources.files.written import dsec, made_events, metavision, rvt
 
 from async_tnt.sources.files.library_readers import read_hdf5
+from async_tnt.sources.files.recording import open_recording
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
 
@@ -69,6 +70,36 @@ def test_times_beyond_64_bits_do_not_wrap_into_others(tmp_path, offset_us):
     assert np.delete(times, 3).tolist() == [2_000 + offset_us + i for i in range(4)]
 
 
+def test_a_polarity_may_be_bool_or_signed(tmp_path):
+    for p in (np.array([0, 1, 1, 0, 1], bool), np.array([-1, 1, 1, -1, 1], "i1")):
+        path = replaced(tmp_path / "a.h5", p=p)
+        np.testing.assert_array_equal(read(path)[3], p)
+        assert open_recording(path).read()["p"].tolist() == [0, 1, 1, 0, 1]
+
+
+def test_a_file_that_was_opened_may_be_written_before_it_is_read(tmp_path):
+    """HDF5 would let nobody write a file that a worker keeps open."""
+    dsec(tmp_path / "a.h5", EVENTS)
+    recording = open_recording(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["t_offset"][()] = 7
+    assert recording.read()["t"].tolist() == (EVENTS["t"] - EVENTS["t"][0] + 7).tolist()
+
+
+def test_the_missing_filter_of_metavision_is_named_with_its_plugin(tmp_path):
+    path = tmp_path / "a.h5"
+    dsec(path, EVENTS[:5])
+    with h5py.File(path, "a") as file:
+        del file["events/t"]
+        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plist.set_chunk((5,))
+        plist.set_filter(0x8ECF, h5py.h5z.FLAG_OPTIONAL)
+        space = h5py.h5s.create_simple((5,))
+        h5py.h5d.create(file["events"].id, b"t", h5py.h5t.STD_U32LE, space, plist)
+    with pytest.raises(ValueError, match=r"compressed by Prophesee's ECF: install its plugin"):
+        next(read_hdf5(str(path)))
+
+
 @pytest.mark.parametrize(("name", "code"), [("Blosc", 32001), ("Zstd", 32015)])
 def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(
     tmp_path, monkeypatch, name, code
@@ -96,6 +127,20 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
                 f"events/{name}", (10**12 if chunks else 10**6,), dtype, chunks=chunks
             )
     with pytest.raises(ValueError, match=r"/events/t claims 10*0 events, but the file holds 0 of"):
+        next(read_hdf5(str(path)))
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_chunk_that_was_never_written_is_refused(tmp_path, missing):
+    """Of three, the last of which is filled in part: HDF5 makes zeros of it."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        for name in "txyp":
+            data = file.create_dataset(f"events/{name}", (2_500,), "u4", chunks=(1_000,))
+            for chunk in {0, 1, 2} - {missing}:
+                data[1_000 * chunk : 1_000 * (chunk + 1)] = 1
+    message = "/events/t claims 2500 events, but the file holds 2 of their 3 chunks"
+    with pytest.raises(ValueError, match=message):
         next(read_hdf5(str(path)))
 
 

@@ -13,6 +13,7 @@ from made import random_events
 from sources.files.written import columns_of
 
 from async_tnt.sources.files import numpy_files
+from async_tnt.sources.files.off_sensor import EventsOffSensor
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 from async_tnt.sources.pixels.pixel_masks import load_mask
@@ -177,3 +178,57 @@ def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path, monkeypa
         ValueError, match=r"events\.npy takes 1,300,000,\d+ bytes; more than 1,048,576 can be read"
     ):
         open_recording(path)
+
+
+def test_events_are_read_and_other_arrays_are_not(tmp_path):
+    others = {"labels": np.zeros(3), "t": np.zeros(5), "objects": np.array([None])}
+    path = tmp_path / "a.npz"
+    np.savez(path, events=EVENTS, **others, allow_pickle=True)
+    np.testing.assert_array_equal(open_recording(path).read(), EVENTS)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_an_array_that_is_there_twice_is_refused(tmp_path):
+    path = saved(tmp_path / "a.npz", {"events": EVENTS})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("events.npy", npy((1,)))
+    with pytest.raises(ValueError, match="holds the array 'events' more than once; leave out all"):
+        open_recording(path)
+
+
+def test_the_largest_array_of_an_archive(tmp_path, monkeypatch):
+    path = saved(tmp_path / "a.npz", {"events": EVENTS})
+    n_bytes = zipfile.ZipFile(path).getinfo("events.npy").file_size
+    monkeypatch.setattr(numpy_files, "MAX_NPZ_BYTES", n_bytes)
+    assert open_recording(path).n_events == 3
+    monkeypatch.setattr(numpy_files, "MAX_NPZ_BYTES", n_bytes - 1)
+    with pytest.raises(ValueError, match=f"events.npy takes {n_bytes} bytes; more than "):
+        open_recording(path)
+
+
+def test_the_last_time_that_is_valid(tmp_path):
+    table = np.array([[5, 1, 2, 1], [(1 << 62) - 1, 1, 2, 1], [1 << 62, 1, 2, 1]])
+    with pytest.warns(DamagedRecording, match="event 2: t = 4611686018427387904, .* not a valid"):
+        times = open_recording(saved(tmp_path / "a.npy", table)).read()["t"]
+    assert times.tolist() == [5, (1 << 62) - 1]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "pixel", "told"),
+    [
+        ("<u4", (1 << 32) - 1, (1 << 32) - 1),
+        ("<i4", -1, -1),
+        ("<i8", 1 << 16, 1 << 16),
+        ("<u8", (1 << 64) - 1, 1 << 62),  # as int64 it would be -1
+    ],
+)
+@pytest.mark.parametrize("other", ["u1", "<u2", "<i4", "<u8"])
+def test_a_pixel_beyond_16_bits_is_off_every_sensor_whatever_the_types(
+    tmp_path, dtype, pixel, told, other
+):
+    for names, where in (("xy", f"x = {told}, y = 3"), ("yx", f"x = 3, y = {told}")):
+        types = [("t", "<i8"), (names[0], dtype), (names[1], other), ("p", "u1")]
+        records = np.full(3, 1, types)
+        records[1] = (1, pixel, 3, 1)
+        with pytest.warns(EventsOffSensor, match=f"it is event 1 at {where}; it is left out"):
+            assert open_recording(saved(tmp_path / "a.npy", records)).n_events == 2

@@ -169,3 +169,43 @@ def test_dat_version_1_by_hand(tmp_path):
     word = np.array([70, 1 << 17 | 200 << 9 | 300], "<u4").tobytes()
     data = b"% Version 1\n% Width 304\n% Height 240\n\x00\x08" + word
     assert read(tmp_path / "a.dat", data).tolist() == [(70, 300, 200, 1)]
+
+
+def test_a_header_may_be_in_capitals(tmp_path):
+    header = evt_header("3.0")
+    data = header.upper() + evt3(EVENTS)[len(header) :]
+    np.testing.assert_array_equal(read(tmp_path / "a.raw", data), EVENTS)
+
+
+def test_what_follows_the_end_of_a_header_is_no_line_of_it(tmp_path):
+    """Words whose bytes are `% ab` and a line end: of another kind, a time and an event."""
+    words = np.array([0x62612025, 8 << 28 | 10, 1 << 28 | 5 << 22 | 64 << 11 | 9], "<u4")
+    data = evt_header("2.0") + words.tobytes()
+    assert read(tmp_path / "a.raw", data).tolist() == [(645, 64, 9, 1)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "sensor"),
+    [
+        (["geometry 640x480", "format EVT3;height=240;width=320", "Width 34"], (640, 480)),
+        (["format EVT3;height=240;width=320", "Width 34", "Height 34"], (320, 240)),
+        (["format EVT3;height=240", "Width 60", "Height 48"], (60, 48)),
+        (["format EVT3", "Width 60"], None),
+    ],
+)
+def test_the_sensor_is_that_of_geometry_then_of_the_format_then_of_sides(tmp_path, lines, sensor):
+    header = "".join(f"% {line}\n" for line in ["evt 3.0", *lines])
+    (tmp_path / "a.raw").write_bytes(header.encode())
+    assert open_recording(tmp_path / "a.raw").sensor == sensor
+
+
+def test_a_dat_file_without_a_version_is_of_the_second(tmp_path):
+    data = dat(EVENTS).replace(b"% Version 2\n", b"")
+    np.testing.assert_array_equal(read(tmp_path / "a.dat", data), EVENTS)
+
+
+@pytest.mark.parametrize(("kind", "size"), [(0x0E, 8), (0x0C, 16), (0x01, 8)])
+def test_a_dat_file_of_other_events_is_refused(tmp_path, kind, size):
+    data = dat(EVENTS).replace(b"\x0c\x08", bytes([kind, size]), 1)
+    with pytest.raises(ValueError, match=rf"events, 0 or 12, .* 8; got \[{kind}, {size}\]$"):
+        read(tmp_path / "a.dat", data)

@@ -8,6 +8,7 @@ import pytest
 from made import events_of, random_events
 from sources.files.written import FORMATS, SENSOR, made_events, written
 
+from async_tnt.sources import recording_summary
 from async_tnt.sources.pixels.hot_pixels import hot_pixels
 from async_tnt.sources.recording_summary import summarize
 
@@ -81,6 +82,16 @@ def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
         summarize(tmp_path / "a.npy", (20, 34))
 
 
+@pytest.mark.parametrize("size", [1, 2, 3, 100])
+def test_unsorted_events_are_counted_wherever_packets_end(tmp_path, monkeypatch, size):
+    """Earlier than the event before, not than the newest: 5, 4, 0 and 2."""
+    monkeypatch.setattr(recording_summary, "PACKET_EVENTS", size)
+    events = events_of([7, 5, 6, 4, 0, 3, 2, 9], [1] * 8, [2] * 8, [0, 0, 0, 1] * 2)
+    np.save(tmp_path / "a.npy", events)
+    found = summarize(tmp_path / "a.npy", (34, 34))
+    assert (found.unsorted, found.on, found.first_us, found.last_us) == (4, 2, 0, 9)
+
+
 def test_a_recording_without_events_is_summarized(tmp_path):
     np.save(tmp_path / "none.npy", random_events(0))
     found = summarize(tmp_path / "none.npy", (34, 34))
@@ -91,3 +102,12 @@ def test_a_recording_without_events_is_summarized(tmp_path):
         (0, 0),
         [],
     )
+
+
+def test_hot_pixels_of_a_sensor_of_too_many_pixels_are_not_looked_for(tmp_path):
+    """Their counts would take more memory than the file."""
+    hot = events_of(np.arange(500) * 100, [3] * 500, [4] * 500, [1] * 500)
+    for sensor, n_hot in (((4_096, 4_096), 1), ((4_097, 4_096), 0)):
+        np.savez(tmp_path / "a.npz", events=hot, sensor=np.array(sensor))
+        found = summarize(tmp_path / "a.npz")
+        assert (found.sensor, found.events, len(found.hot_pixels)) == (sensor, 500, n_hot)

@@ -24,6 +24,7 @@ def text(tmp_path):
     ("written", "t_us"),
     [
         ("1468940293.844933001", 1468940293844933),
+        ("12", 12_000_000),  # of one row alone, nothing says that it is no second
         ("1.0000005", 1_000_001),
         ("1.0000004999", 1_000_000),
         (".5", 500_000),
@@ -102,6 +103,8 @@ def test_a_row_that_no_event_can_be_is_damage(text, row):
         '"t","x","y","pol"\n7.0,1,2,1\n',
         "# y;x;p;t\n2;1;1;7\n",
         "# y x p t\n2,1,1,7\n",
+        "# t x y p\n# y x p t\n2,1,1,7\n",  # the last of them
+        "t;x;y;p;a,b\n7;1;2;1;c,d\n",
         # a polarity without a line end is whole; another number may have lost digits
         "t,x,y,p\n7,1,2,1",
     ],
@@ -140,3 +143,13 @@ def test_columns_in_another_order_are_refused_and_their_order_is_named(text):
         ValueError, match=r"a.csv: the columns are not 'xypt'; they look like 'txyp': .* `columns`"
     ):
         text("a.csv", "%geometry:9,9\n5,1,2,0\n6,1,2,1\n7,2,1,1\n")
+
+
+def test_a_row_that_is_cut_off_does_not_hide_the_order(text):
+    with pytest.raises(ValueError, match="not 'txyp'; they look like 'xypt'"):
+        text("a.csv", METAVISION + "97,1")
+
+
+def test_rows_that_are_all_at_the_beginning_are_read(text):
+    """0 is the same in seconds and in microseconds."""
+    assert text("a.txt", "0 1 2 1\n0 3 4 0\n").read().tolist() == [(0, 1, 2, 1), (0, 3, 4, 0)]

@@ -4,13 +4,15 @@ The tests say what happens if the library is missing, crashes, hangs or lies.
 """
 
 import os
+import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sources.files.written import made_events, written
+from sources.files.written import SENSOR, made_events, written
 
-from async_tnt.sources.files import ros_bags, worker_source
+from async_tnt.sources.files import library_readers, ros_bags, worker_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import CorruptData
 from async_tnt.sources.files.worker_source import WorkerSource
@@ -119,3 +121,67 @@ def test_files_are_read_as_often_as_asked_at_once_and_after_damage(tmp_path):
     kept._process.kill()  # a system without memory kills processes, too
     kept._process.wait()
     np.testing.assert_array_equal(recordings[1].read(), made_events(50, seed=1))
+
+
+def test_the_first_stream_of_events_is_read_and_no_other(monkeypatch):
+    """As of two cameras in one AEDAT4 file. The library is played: it writes one stream only."""
+    images, left, right = [
+        SimpleNamespace(id=k, data_type=kind, dimensions=dimensions)
+        for k, kind, dimensions in (
+            (0, "frame", (9, 9)),
+            (1, "events", (34, 20)),
+            (2, "events", (60, 48)),
+        )
+    ]
+    names = {"t": "<u8", "x": "<u2", "y": "<u2", "on": "?"}
+    packets = [np.array([(t, 1, 2, 1)], list(names.items())) for t in (5, 6, 7)]
+
+    class Decoder:
+        def __init__(self, path):
+            self.tracks = lambda: [images, left, right]
+
+        def __iter__(self):
+            yield images, packets[0]
+            yield from ((left, packets[0]), (right, packets[1]), (left, packets[2][:0]))
+            yield left, packets[2]
+
+    extension = SimpleNamespace(aedat=SimpleNamespace(Decoder=Decoder))
+    monkeypatch.setitem(sys.modules, "faery", SimpleNamespace(extension=extension))
+    monkeypatch.setitem(sys.modules, "faery.extension", extension)
+    sensor, *blocks = library_readers.read_aedat4("a.aedat4")
+    assert sensor == (34, 20)
+    assert [[column.tolist() for column in block] for block in blocks] == [
+        [[t], [1], [2], [True]] for t in (5, 7)
+    ]
+
+
+def test_events_off_the_sensor_are_read_in_files_of_many_packets(tmp_path):
+    """faery reads such an ES file up to the first of them only."""
+    pytest.importorskip("faery", reason="ES needs faery")
+    events = made_events(150_000, step_us=4)
+    events["x"][[70_000, 149_000]] = SENSOR[0]
+    sensor, *blocks = library_readers.read_es(str(written(tmp_path / "dvs.es", events)))
+    columns = [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+    assert sensor == SENSOR
+    np.testing.assert_array_equal(columns, [events[name] for name in "txyp"])
+
+
+def test_a_relative_name_is_of_the_folder_at_opening(tmp_path, monkeypatch):
+    """The worker's own folder may be another, and so may be that of the program later."""
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        written(tmp_path / name / "dv.aedat4", made_events(50, seed=len(name)))
+    open_recording(tmp_path / "there" / "dv.aedat4")  # there is a worker now
+    monkeypatch.chdir(tmp_path / "here")
+    recording = open_recording("dv.aedat4")
+    monkeypatch.chdir(tmp_path / "there")
+    np.testing.assert_array_equal(recording.read(), made_events(50, seed=4))
+
+
+def test_a_file_without_one_valid_event_is_refused_at_opening(tmp_path):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    path = written(tmp_path / "dsec.h5", made_events(5))
+    with h5py.File(path, "a") as file:
+        file["events/p"][...] = 7
+    with pytest.raises(ValueError, match=r"dsec\.h5: not one event can be read: event 0: .* p = 7"):
+        open_recording(path)
