@@ -164,6 +164,54 @@ def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
     assert objects._targets(scenes)[0].tolist() == [[[3, 3, 3], [3, 2, 3], [3, 3, 3]]]
 
 
+def test_the_places_near_an_object_name_its_class_and_those_around_it_nothing_at_all(monkeypatch):
+    """A map with a place a pixel. Within .15 of a recording's shorter side, 2.4 pixels, a place
+    names the object; up to .2, 3.2 pixels, it may say anything; all others say that nothing is
+    there. Of two objects the nearer one is named."""
+    fine = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: fine)
+    _, windows = recordings(1)
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    scenes = Scenes(
+        np.zeros((2, 6, 48, 60)),
+        np.array([1, 1]),
+        np.array([2, 0]),
+        np.array([[20.0, 20.0], [23.0, 20.0]]),
+    )
+    target, weight = objects._targets(scenes)
+    assert (target[0] == 3).all() and (weight[0] == 1).all()
+    assert target[1, 20, 16:28].tolist() == [3, 3, 2, 2, 2, 2, 0, 0, 0, 0, 3, 3]
+    assert weight[1, 20, 16:28].tolist() == [1, 0, 4, 4, 4, 4, 4, 4, 4, 4, 0, 1]
+    assert target[1, 16:25, 20].tolist() == [3, 3, 2, 2, 2, 2, 2, 3, 3]
+    assert weight[1, 16:25, 20].tolist() == [1, 0, 4, 4, 4, 4, 4, 0, 1]
+    assert (weight[1] == 4).sum() == 5 * 8 and (weight[1] == 0).sum() == 7 * 10 - 5 * 8
+
+
+@pytest.mark.parametrize(("n_events", "n_objects"), [(9, 0), (10, 1)])
+def test_an_object_of_few_events_is_not_there_yet(n_events, n_objects, no_noise):
+    config = CONFIG.replace(representation="count", bins=1)
+    events = events_of([0] * n_events, range(n_events), [5] * n_events, [1] * n_events)
+    windows = Windows(Recordings.from_events([events], [2]), np.zeros(1, int), np.zeros(1, int))
+    scenes = SceneMaker(config)(windows, unchanged(1, config), np.random.default_rng(0))
+    assert len(scenes.label) == len(scenes.position) == n_objects
+    assert scenes.volumes.sum() <= n_events
+
+
+def test_early_in_a_window_few_objects_are_there():
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    _, windows = recordings(30)
+    model = Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc"))
+    scores = SceneScores(CONFIG, model, windows)
+    pipeline = Pipeline(CONFIG, net)
+    there = [scores.after(pipeline, share).there.sum() for share in (0.05, 0.5, 1.0)]
+    assert there[0] == 0 and 5 < there[1] < there[2]
+    words = scores.to_dict(pipeline)
+    # of 1 ms
+    assert list(words["f1_against_time_ms"]) == ["0.3", "0.5"] and words["objects"] == there[2]
+
+
 @pytest.fixture(scope="module")
 def finder(tmp_path_factory):
     """A map model of upright and flat bars at 32x32."""
