@@ -377,6 +377,18 @@ def test_objects_off_the_sensor_are_told(folder, saved, program, x, y, n_off):
     assert ("off the sensor cannot be found: 1" in err) == (n_off == 1)
 
 
+def test_what_cannot_be_found_is_counted_over_all_recordings(folder, saved, program):
+    (folder / "b.npz").write_bytes((folder / "a_td.npz").read_bytes())
+    rows = [(9900, "on", 20, 10), (9900, "on", 64, 10), (9900, "cat", 5, 5), (9900, "dog", 5, 5)]
+    write_points(folder / "a_td_objects.csv", rows)
+    write_points(folder / "b_objects.csv", rows[:3])
+    code, out, err = program("evaluate", saved, folder, "--json")
+    report = json.loads(out)
+    assert code == 0 and report["off_sensor"] == 2
+    assert report["unknown_classes"] == {"cat": 2, "dog": 1}
+    assert "do not count: cat (2), dog (1)" in err
+
+
 def test_a_table_of_points_comes_before_boxes_and_both_may_lie_in_test(folder, saved, program):
     """Of the recordings of `Test` alone."""
     write_points(folder / "a_td_objects.csv", [(9900, "on", 20, 10)])

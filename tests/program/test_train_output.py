@@ -148,3 +148,43 @@ def test_pictures_options_are_refused_for_recordings_alone(program, tmp_path):
         assert code == 2 and "--camera and --size are for pictures; DATASET holds none" in err
     code, _, err = program("train", tmp_path / "set", "--roi", "0,0,1,9", "--crop")
     assert code == 2 and "must have sides of at least 2 pixels, got 1x9" in err
+
+
+@pytest.mark.parametrize("share", ["1", "-0.1", "nan", "half"])
+def test_a_validation_share_is_below_one(share, program, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        program("train", "nowhere", f"--validation={share}")
+    assert stopped.value.code == 2
+    expected = f"argument --validation: must be a share in [0, 1), got '{share}'"
+    assert expected in capsys.readouterr().err
+
+
+NUMBERS = {"events": 100.0, "ON share": 50.0}
+
+
+@pytest.mark.parametrize(("n_found", "is_warned"), [(20, False), (19, True)])
+def test_motions_that_were_found_are_told_and_few_are_warned_of(n_found, is_warned, capsys):
+    """A fifth is enough. What differs between recorded and simulated windows is named."""
+    record = {
+        "windows": 100,
+        "with_path": n_found,
+        "with_neighbours": 3,
+        "without_path": {"too few events": 70, "it jumps": 100 - 70 - n_found},
+        "match": {"recorded": NUMBERS, "resynthesized": NUMBERS},
+    }
+    train._note_motions(record)
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"motion found in {n_found} of 100 windows, in 3 only with those beside them; the others "
+        f"are used as recorded only (too few events 70, it jumps {30 - n_found})"
+    )
+    assert any("so few motions hardly change" in line for line in lines) == is_warned
+    assert not any("windows differ" in line for line in lines)
+    other = {"recorded": NUMBERS, "resynthesized": NUMBERS | {"ON share": 5.0}}
+    record |= {"match": other, "with_neighbours": 0, "without_path": {}}
+    train._note_motions(record)
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"motion found in {n_found} of 100 windows; the others are used as recorded only"
+    )
+    assert "recorded and simulated windows differ in ON share: compare" in lines[-1]

@@ -189,6 +189,64 @@ def test_the_places_near_an_object_name_its_class_and_those_around_it_nothing_at
     assert (weight[1] == 4).sum() == 5 * 8 and (weight[1] == 0).sum() == 7 * 10 - 5 * 8
 
 
+def test_the_loss_of_scenes_is_a_weighted_mean_over_places(monkeypatch):
+    """A network that gives all places the same logits, and names class 1 everywhere."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    with torch.no_grad():
+        net[0].weight.zero_()
+        net[0].bias.copy_(torch.tensor([0.5, 2.0, -1.0, 1.0]))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(9)
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    seen = []
+    targets_of = objects._targets
+    monkeypatch.setattr(objects, "_targets", lambda some: seen.append(targets_of(some)) or seen[-1])
+    draws = unchanged(9, CONFIG)
+    draws.seed[:] = 3
+    found = objects.loss(Pipeline(CONFIG, net), windows, draws)
+    ((target, weight),) = seen
+    logits = np.array([0.5, 2.0, -1.0, 1.0])
+    losses = np.log(np.exp(logits).sum()) - logits
+    assert set(np.unique(target)) == {0, 1, 2, 3} and set(np.unique(weight)) == {0, 1, 4}
+    expected = (losses[target] * weight).sum() / weight.sum()
+    assert found.loss.item() == pytest.approx(expected, rel=1e-5)
+    assert found.n == (target < 3).sum() and found.n_right == (target == 1).sum()
+
+
+def test_the_noise_of_a_scene_is_everywhere_in_its_time_and_a_hot_pixel_is_one(monkeypatch):
+    """At a rate a pixel, up to the scene's end, in both polarities; the first half of a window has
+    half of it."""
+    config = CONFIG.replace(representation="count", bins=1, window_us=1_000_000)
+    maker = SceneMaker(config)
+    monkeypatch.setattr(module, "NOISE_HZ", (2.0, 2.0))
+    monkeypatch.setattr(module, "HOT_EVENTS", (1_000, 1_001))
+    until_us = np.full(60, 500_000)
+    scenes = maker._noise(60, until_us, np.random.default_rng(0))
+    assert scenes.shape == (60, 2, 48, 60)
+    totals = scenes.sum((1, 2, 3))
+    # 2 events a second and pixel, for half a second
+    is_hot = totals > 3_500
+    np.testing.assert_allclose(totals[~is_hot], 48 * 60, rtol=0.1)
+    np.testing.assert_allclose(totals[is_hot], 48 * 60 + 1_000, rtol=0.1)
+    assert 10 <= is_hot.sum() <= 30
+    assert ((scenes.sum(1) > 500).sum((1, 2)) == is_hot).all()
+    cold = scenes[~is_hot].sum(0)
+    np.testing.assert_allclose(cold.sum((1, 2)) / cold.sum(), 0.5, atol=0.02)
+    for axis in (0, 1):
+        along = cold.sum(0).sum(axis)
+        np.testing.assert_allclose(along / along.mean(), 1, atol=0.15)
+    # in time: bins that are as full
+    binned = SceneMaker(CONFIG.replace(bins=5, window_us=1_000_000))
+    monkeypatch.setattr(module, "HOT_EVENTS", (0, 1))
+    volumes = binned._noise(20, np.full(20, 1_000_000), np.random.default_rng(0))
+    bins = volumes.reshape(20, 2, 5, -1).sum((0, 1, 3))
+    np.testing.assert_allclose(bins / bins.sum(), [0.125, 0.25, 0.25, 0.25, 0.125], atol=0.01)
+    monkeypatch.setattr(module, "MOST_NOISE", 300)
+    assert (binned._noise(3, until_us[:3], np.random.default_rng(0)).sum((1, 2, 3)) < 301).all()
+
+
 @pytest.mark.parametrize(("n_events", "n_objects"), [(9, 0), (10, 1)])
 def test_an_object_of_few_events_is_not_there_yet(n_events, n_objects, no_noise):
     config = CONFIG.replace(representation="count", bins=1)

@@ -257,7 +257,10 @@ def test_the_command(tmp_path, program, few_steps):
     # of two windows
     assert summary["motions"]["with_path"] == 10 and "validation_motions" not in summary
     # no more than epochs
-    assert load_model(tmp_path / "m.safetensors").record["motions"]["variations"] == 2
+    model = load_model(tmp_path / "m.safetensors")
+    assert model.record["motions"]["variations"] == 2
+    # what moves otherwise has time bins, however often pixels fire
+    assert (model.config.representation, model.config.bins) == ("volume", 5)
     assert (tmp_path / "runs" / "m" / "motions" / "motions.png").read_bytes().startswith(b"\x89PNG")
     code, _, err = program("train", tmp_path / "data", *words)
     assert code == 0 and "epoch" not in err, err  # what is finished is not done again

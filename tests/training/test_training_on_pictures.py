@@ -28,6 +28,7 @@ from async_tnt.training.work import Work
 from async_tnt.volume.events import EVENT_DTYPE
 
 SENSOR = (24, 20)
+EVENT = np.zeros(1, EVENT_DTYPE)
 
 
 @pytest.fixture(autouse=True)
@@ -191,8 +192,9 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
         simulated(tmp_path / "a")
 
 
-def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path):
+def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path, monkeypatch):
     """A run with other pictures on either side is refused; another seed is another run."""
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 4, "held-out": 3})
     folder = write_pictures(tmp_path / "p", n=3)
     pictures = [LabelledPicture(path, 0) for path in find_pictures(folder)["bar"]]
     scene = SceneSettings(SENSOR, 20_000)
@@ -209,10 +211,8 @@ def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path):
         return made
 
     first = simulated(tmp_path / "a")
-    assert [name.partition(", ")[0] for name in first[1].names] == ["bar/bar02.png"] * 8
-    assert {name.rpartition(", ")[2] for name in first[1].names} == {
-        f"take {k}" for k in range(1, 9)
-    }
+    assert [name.partition(", ")[0] for name in first[1].names] == ["bar/bar02.png"] * 3
+    assert {name.rpartition(", ")[2] for name in first[1].names} == {f"take {k}" for k in (1, 2, 3)}
     again = simulated(tmp_path / "a")
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.t, other.t)
@@ -221,8 +221,35 @@ def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path):
             simulated(tmp_path / "a", changed=part)
     with pytest.raises(ValueError, match=r"other pictures \(seed\)"):
         simulated(tmp_path / "a", seed=1)
+    renamed = pictures[0].path.with_stem("bar0")
+    sides["training"][0] = LabelledPicture(pictures[0].path.rename(renamed), 0)
+    with pytest.raises(ValueError, match=r"other pictures \(training pictures\)"):
+        simulated(tmp_path / "a")
     other = simulated(tmp_path / "b", seed=1)
     assert not any(np.array_equal(a.t, b.t) for a, b in zip(first, other, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "follow", "n_takes"),
+    [
+        ((128, 128), False, 40),
+        ((64, 32), False, 40),
+        ((256, 128), False, 20),
+        ((128, 128), True, 7),  # 40 / 6
+        ((64, 32), True, 40),
+        ((1280, 720), False, 4),  # a tenth at least
+        ((1280, 720), True, 4),
+    ],
+)
+def test_a_sensor_that_takes_longer_takes_fewer(sensor, follow, n_takes, tmp_path, monkeypatch):
+    """A large one, and one that follows the object, which takes six times as long."""
+    monkeypatch.setattr(simulated_pictures, "run_counted", lambda *_: None)
+    monkeypatch.setattr(simulated_pictures, "_read", lambda chunk: [EVENT[:0]] * len(chunk.takes))
+    picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p", n=1))["bar"][0], 0)
+    settings = SceneSettings(sensor, 20_000, follow=follow)
+    with RecordingsWriter() as writer:
+        takes = simulate_pictures(writer, "training", [picture], settings, tmp_path / "a")
+        assert takes == len(writer.finish()) == n_takes
 
 
 def test_pictures_are_found_by_suffixes_in_any_case_and_hidden_files_are_not(tmp_path):
