@@ -109,9 +109,12 @@ class Windows:
         t = self.recordings.t
         first = int(self.recordings.offsets[r])
         last = int(self.recordings.offsets[r + 1])
-        bounds = np.clip(self.start_us[i] + np.array([from_us, until_us]), 0, np.iinfo(t.dtype).max)
-        # bounds of another type than t would copy it
-        start, stop = first + np.searchsorted(t[first:last], bounds.astype(t.dtype))
+        # events before a bound are those up to the microsecond before it: that one fits the type of
+        # t, which the bound itself may not; bounds of another type would copy t
+        limits = np.iinfo(t.dtype)
+        last_us = self.start_us[i] + np.array([from_us, until_us]) - 1
+        last_us = np.clip(last_us, limits.min, limits.max).astype(t.dtype)
+        start, stop = first + np.searchsorted(t[first:last], last_us, side="right")
         return slice(int(start), int(stop))
 
 

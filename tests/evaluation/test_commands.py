@@ -7,6 +7,8 @@ import shutil
 import signal
 import sys
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,9 +18,15 @@ from made import random_events, random_model, thesis_model
 from processes import started
 from waiting import until
 
+from async_tnt.cli.evaluate import lines_of
 from async_tnt.evaluation.early import LEVELS, decision_at, early_fields, early_report
-from async_tnt.evaluation.records import processor_of
+from async_tnt.evaluation.job import job_of, task_of
+from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.records import evaluate_recording, processor_of
+from async_tnt.evaluation.results import collect
+from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.pixels.pixel_masks import save_mask
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.volume.config import TNTConfig
 
 
@@ -167,6 +175,106 @@ def test_what_is_decided_early_by_hand():
 def test_a_worker_refuses_the_job_of_another_program_or_model(changes, message):
     with pytest.raises(ValueError, match=message):
         processor_of(replace(JOB, **changes))
+
+
+def test_a_job_names_a_bundled_model_or_a_file_wherever_its_worker_starts(tmp_path, monkeypatch):
+    """A task names its recording so, too."""
+    from async_tnt import load_model
+
+    monkeypatch.chdir(tmp_path)
+    model = load_model("digits")
+    model.save(tmp_path / "m.safetensors")
+    assert job_of("digits", model, Pixels()).model == "digits"
+    job = job_of("m.safetensors", model, Pixels())
+    assert job.model == str(tmp_path / "m.safetensors")
+    assert job.id == job_of("digits", model, Pixels()).id  # the same weights
+    Path("3").mkdir()
+    Path("3", "a.bin").write_bytes(b"12345")
+    task = task_of("3/a.bin", Path("3", "a.bin"), job, "3", (5, 9))
+    assert (task.path, task.recording) == (tmp_path / "3" / "a.bin", "3/a.bin")
+    assert (task.label, task.between_us, task.bytes) == ("3", (5, 9), 5)
+    gone = task_of("3/b.bin", Path("3", "b.bin"), job, "3", (5, 9))
+    assert (gone.label, gone.between_us) == ("3", (5, 9))
+    assert gone.bytes is None and gone.modified_ns is None
+
+
+@pytest.mark.parametrize("option", [{"columns": "xypt"}, {"topic": "/left"}], ids=str)
+def test_results_of_files_that_were_read_otherwise_are_refused(samples, tmp_path, option):
+    """The events of a file depend on it."""
+    from async_tnt import load_model
+
+    model = load_model("digits")
+    plain, read_so = (
+        job_of("digits", model, Pixels(), ReadOptions(**some)) for some in ({}, option)
+    )
+    path = samples / "3" / "00.bin"
+    out = tmp_path / "r.jsonl"
+    run = partial(run_all, workers=1)
+    collect(evaluate_recording, [task_of("3/00.bin", path, plain, "3")], run, out)
+    before = out.read_bytes()
+    with pytest.raises(ValueError, match="was made with another model, version or selection"):
+        collect(evaluate_recording, [task_of("3/00.bin", path, read_so, "3")], run, out)
+    assert out.read_bytes() == before
+
+
+def test_a_report_says_what_each_class_is_confused_with_and_when_it_is_sure():
+    """The most frequent first, three at most; a class without recordings has no accuracy."""
+    report = {
+        "accuracy": 0.4,
+        "window_accuracy": 0.25,
+        "recordings": 2010,
+        "windows": 4020,
+        "classes": ["a", "b", "c", "d", "e"],
+        "per_class": {"a": 0.4, "b": None, "c": 0.0, "d": 1.0, "e": 0.5},
+        "confusion": [
+            [4, 1, 2, 0, 3],
+            [0, 0, 0, 0, 0],
+            [1, 1, 0, 1, 2],
+            [0, 0, 0, 6, 0],
+            [0, 5, 0, 0, 5],
+        ],
+        "window_confusion": np.diag([1200, 0, 3, 4, 5]) + 1,
+        "accuracy_against_time": [{"time_us": 10_500, "accuracy": 0.25, "decided": 0.5}],
+        "confidence": [
+            {
+                "level": 0.9,
+                "accuracy": 0.75,
+                "decided": 0.5,
+                "window_accuracy": 0.625,
+                "median_ms": 20.06,
+                "p90_ms": 105.0,
+            },
+            {
+                "level": 0.99,
+                "accuracy": None,
+                "decided": 0.0,
+                "window_accuracy": 0.5,
+                "median_ms": None,
+                "p90_ms": None,
+            },
+        ],
+        "calibration_error": 0.0625,
+    }
+    report["window_confusion"] = report["window_confusion"].tolist()
+    assert [" ".join(line.split()) for line in lines_of(report)] == [
+        "accuracy 0.4000 on 2010 recordings, 0.2500 on 4020 windows",
+        "",
+        "class accuracy recordings windows right confused with",
+        "a 0.400 10 1,201 of 1,205 e (3), c (2), b (1)",
+        "b - 0 1 of 5",
+        "c 0.000 5 4 of 8 e (2), d (1), b (1)",
+        "d 1.000 6 5 of 9",
+        "e 0.500 10 6 of 10 b (5)",
+        "",
+        "ms into the window accuracy decided",
+        "10.5 0.250 0.500",
+        "",
+        "first decision at accuracy decided all windows ms: median, 90 %",
+        "0.9 0.750 0.500 0.625 20.1, 105.0",
+        "0.99 - 0.000 0.500",
+        "",
+        "expected calibration error 0.062",
+    ]
 
 
 def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):

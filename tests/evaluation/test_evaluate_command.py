@@ -290,6 +290,28 @@ def test_the_text_names_classes_and_times(saved, dataset, program):
         assert any(row.startswith(line) for row in printed.splitlines()), line
 
 
+def test_late_events_and_the_pixels_that_count_are_told(saved, tmp_path, program):
+    """Where to look for them, too; no line without any."""
+    events = bar("flat", 0, n=700, duration_us=180_000)
+    events["t"][400:403] = 5
+    write(tmp_path / "set" / "flat" / "a.npy", events)
+    out = tmp_path / "r.jsonl"
+    for words, where in (((), "the records of --out"), (("--out", out), str(out))):
+        code, printed, err = program("evaluate", saved, tmp_path / "set", "--json", *words)
+        assert (
+            code == 0 and json.loads(printed)["late"] == 3 and "pixels" not in json.loads(printed)
+        )
+        assert err == (
+            f"async-tnt: {tmp_path / 'set'}: 3 of 700 events were too late and dropped (see `late` "
+            f"in {where})\n"
+        )
+    write(tmp_path / "set" / "flat" / "a.npy", np.sort(events, order="t"))
+    code, printed, err = program(
+        "evaluate", saved, tmp_path / "set", "--json", "--roi", "0,0,99,128"
+    )
+    assert (code, err) == (0, "") and json.loads(printed)["pixels"] == {"roi": "0,0,99,128"}
+
+
 def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, program):
     """A damaged one is skipped as a whole: its first events alone might show something else."""
     folder = write_set(tmp_path / "set", {"upright": 2, "flat": 2})

@@ -4,11 +4,13 @@ The tests have counts by hand, tables in both forms, and what is refused.
 """
 
 import json
+import tracemalloc
 import weakref
 
 import numpy as np
 import pytest
 import torch
+from held_memory import held
 from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
@@ -18,6 +20,7 @@ from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
 from async_tnt.evaluation.object_scores import score_objects, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, read_table
 from async_tnt.kernels.decisions.objects import FOUND_SIZE, X, Y
+from async_tnt.volume.events import EVENT_DTYPE
 
 CONFIG = TNTConfig(
     sensor=(64, 40),
@@ -333,6 +336,74 @@ def test_memory_does_not_grow_with_the_time_between_moments(saved):
     )
     scores = score_recording(load_model(saved), Packets(), table)
     assert scores[1.0].right.sum() == 1 and max(n_alive) <= 5
+
+
+def test_memory_does_not_grow_with_the_number_of_moments(saved):
+    """Events before the window of a moment are of no use for later ones."""
+    n_events = 1_000
+    n_packets = 25
+    bytes_held = []
+
+    class Packets:
+        path = "a.npz"
+
+        def __iter__(self):
+            for k in range(n_packets):
+                t = 1000 * k + np.arange(n_events) % 1000
+                yield events_of(t, *np.ones((3, n_events), int))
+                if k in (10, n_packets - 1):
+                    bytes_held.append(held())
+
+    times_us = 1000 * np.arange(1, n_packets + 1)
+    table = ObjectTable(
+        t=times_us,
+        label=np.zeros(n_packets, int),
+        middle=np.ones((n_packets, 2)),
+        reach=np.full((n_packets, 2), 5.0),
+        unknown={},
+    )
+    tracemalloc.start()
+    try:
+        scores = score_recording(load_model(saved), Packets(), table)
+    finally:
+        tracemalloc.stop()
+    assert scores[1.0].right.sum() == n_packets
+    # the recording is read twice, at first for the times of its packets alone
+    *_, early, late = bytes_held
+    assert late - early < 4 * n_events * EVENT_DTYPE.itemsize
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "n_off"), [(0, 0, 0), (63, 39, 0), (64, 5, 1), (5, 40, 1), (-0.5, 5, 1)]
+)
+def test_objects_off_the_sensor_are_told(folder, saved, program, x, y, n_off):
+    write_points(folder / "a_td_objects.csv", [(6000, "on", x, y), (9900, "on", 20, 10)])
+    code, out, err = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(out)["off_sensor"] == n_off
+    assert ("off the sensor cannot be found: 1" in err) == (n_off == 1)
+
+
+def test_what_cannot_be_found_is_counted_over_all_recordings(folder, saved, program):
+    (folder / "b.npz").write_bytes((folder / "a_td.npz").read_bytes())
+    rows = [(9900, "on", 20, 10), (9900, "on", 64, 10), (9900, "cat", 5, 5), (9900, "dog", 5, 5)]
+    write_points(folder / "a_td_objects.csv", rows)
+    write_points(folder / "b_objects.csv", rows[:3])
+    code, out, err = program("evaluate", saved, folder, "--json")
+    report = json.loads(out)
+    assert code == 0 and report["off_sensor"] == 2
+    assert report["unknown_classes"] == {"cat": 2, "dog": 1}
+    assert "do not count: cat (2), dog (1)" in err
+
+
+def test_a_table_of_points_comes_before_boxes_and_both_may_lie_in_test(folder, saved, program):
+    """Of the recordings of `Test` alone."""
+    write_points(folder / "a_td_objects.csv", [(9900, "on", 20, 10)])
+    write_boxes(folder / "a_bbox.npy")
+    assert json.loads(program("evaluate", saved, folder, "--json")[1])["objects"] == 1
+    (folder / "Test").mkdir()
+    (folder / "a_td.npz").rename(folder / "Test" / "a.npz")
+    (folder / "a_bbox.npy").rename(folder / "Test" / "a_bbox.npy")
+    assert json.loads(program("evaluate", saved, folder, "--json")[1])["objects"] == 4
 
 
 def test_how_near_is_near_enough(tmp_path):

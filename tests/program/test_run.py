@@ -50,6 +50,43 @@ def test_options_are_the_settings_of_the_processor(program, options, settings, l
     assert "start_us" in settings or triggers - {"window", "end"}
 
 
+def test_several_recordings_have_one_header_and_a_line_of_their_class_each(program):
+    code, printed, _ = program("run", SAMPLES[7], SAMPLES[3], SAMPLES[7])
+    lines = printed.splitlines()
+    assert code == 0
+    assert [k for k, line in enumerate(lines) if line.startswith("recording ")] == [0]
+    of_each = [line.split(" (")[0] for line in lines if "mean probability" in line]
+    assert of_each == ["7.bin: 7", "3.bin: 3", "7.bin: 7"]
+    alone = program("run", SAMPLES[7])[1].splitlines()
+    # each one begins a new stream
+    assert lines[: len(alone)] == alone and lines[-len(alone) + 1 :] == alone[1:]
+
+
+def test_a_line_has_the_numbers_of_its_decision(program):
+    """Times in milliseconds, a window as its start and what has passed of it."""
+    every = ("--every-us", 30_000)
+    _, printed, _ = program("run", SAMPLES[7], *every)
+    _, as_json, _ = program("run", SAMPLES[7], "--json", *every)
+    decisions = [json.loads(line) for line in as_json.splitlines()]
+    _, *rows, summary = printed.splitlines()
+    assert len(rows) == len(decisions) > 4
+    for row, decision in zip(rows, decisions, strict=True):
+        start_us = decision["window_start_us"]
+        since_us = decision["time_us"] - start_us
+        assert row.split() == [
+            "7.bin",
+            f"{decision['time_us'] / 1e3:.3f}",
+            f"{start_us / 1e3:.3f}+{since_us / 1e3:.3f}",
+            decision["label"],
+            f"{decision['probability']:.3f}",
+            str(decision["events"]),
+            decision["trigger"],
+        ]
+    ends = [d["probabilities"] for d in decisions if d["trigger"] in ("window", "end")]
+    mean = np.mean(ends, axis=0)
+    assert f"7 (mean probability {mean[7]:.3f} of {len(ends)} windows)" in summary
+
+
 def test_the_latency_is_a_column(program):
     _, plain, _ = program("run", SAMPLES[7])
     _, timed, _ = program("run", SAMPLES[7], "--latency")

@@ -109,6 +109,21 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     assert fit_temperature(np.array([[1.0, 0.0]] * 9), np.ones(9, int)) == pytest.approx(5)
 
 
+def test_the_decisions_of_all_moments_are_compared_with_their_own_windows():
+    """Three windows at two moments, always right with a probability of .85: .15 too unsure. Nothing
+    is decided surely from .9 on."""
+    right = np.array([[0.85, 0.15], [0.85, 0.15], [0.15, 0.85]])
+    nothing = np.array([[0.9, 0.1], [0.89, 0.11], [0.05, 0.95], [0.5, 0.5]])
+    labels = np.array([0, 0, 1])
+    found = Evaluation(
+        SimpleNamespace(labels=labels), (50.0, 100.0), np.stack([right, right]), {"noise": nothing}
+    )
+    assert found.calibration_error == pytest.approx(0.15)
+    assert found.temperature == fit_temperature(np.tile(right, (2, 1)), np.tile(labels, 2)) < 1
+    assert found.sure_of_nothing == {"noise": 0.5}
+    assert found.against_time == {50.0: 1.0, 100.0: 1.0}
+
+
 def test_a_calibrated_model_decides_the_same(models):
     model = models[0.0]
     calibrated_model, temperature = calibrated(model, 2.5)
@@ -129,7 +144,9 @@ def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
     validation = shapes(40, 1)
     data = TrainingData(CONFIG, CLASSES, shapes(60, 0), validation)
     settings = TrainSettings(epochs=1, batch=16, augmentation=Augmentation(nothing=0.0))
-    model = fit(data, settings, tmp_path).model
+    data = replace(data, tests={"other day": (shapes(20, 2), {"left_out": ["spot/a.npz: torn"]})})
+    fitted = fit(data, settings, tmp_path / "first")
+    model = fitted.model
     found = evaluate(pipeline_of(model), validation, times_ms=moments_ms(model)).to_dict()
     told = model.record["validation"]
     assert model.record["temperature"] != 1 and told["calibration_error"] > 0
@@ -137,3 +154,25 @@ def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
     one_window = 1 / len(validation)  # rounding may make one of them sure
     assert told["sure_of_nothing"] == pytest.approx(found["sure_of_nothing"], abs=1.1 * one_window)
     assert told["confusion"] == found["confusion"]
+    # every tenth of 100 ms
+    assert list(told["against_time_ms"]) == [str(10 * k) for k in range(1, 11)]
+    tested = fitted.tested(data).model.record["other day"]
+    assert (tested["windows"], tested["left_out"]) == (20, ["spot/a.npz: torn"])
+    assert list(tested["against_time_ms"]) == list(told["against_time_ms"])
+    assert fitted.scores["window_confusion"] == told["confusion"]
+
+
+def test_the_record_of_a_continued_training_keeps_that_of_its_start(tmp_path):
+    data = TrainingData(CONFIG, CLASSES, shapes(30, 0), shapes(10, 1), record={"source": "made"})
+    settings = TrainSettings(epochs=2, batch=15, seed=3)
+    first = fit(data, settings, tmp_path / "first").with_record(command="the first").model
+    assert (first.record["epochs"], first.record["iterations"]) == (2, 4)
+    assert (first.record["network"], first.record["data"]) == ("thesis", {"source": "made"})
+    assert "started_from" not in first.record
+    again = fit(data, replace(settings, epochs=1, seed=4), tmp_path / "again", start=first).model
+    assert again.record["network"] == "that of the model it started from"
+    assert (again.record["seed"], again.record["epochs"]) == (4, 1)
+    began = again.record["started_from"]
+    assert (began["seed"], began["epochs"], began["command"]) == (3, 2, "the first")
+    assert began["validation"] == first.record["validation"]
+    assert "versions" not in began

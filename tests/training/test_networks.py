@@ -12,7 +12,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import tnt_reference  # noqa: E402
-from made import random_events  # noqa: E402
+from made import events_of, random_events  # noqa: E402
 from torch import nn  # noqa: E402
 from training.gestures import write_set  # noqa: E402
 
@@ -20,7 +20,12 @@ from async_tnt import CompiledClassifier, TNTConfig  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.networks import NETWORKS, build_network, landmark_network  # noqa: E402
-from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export  # noqa: E402
+from async_tnt.training.pipeline import (  # noqa: E402
+    export,
+    input_scale,
+    new_pipeline,
+    pipeline_before_export,
+)
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 
@@ -46,6 +51,9 @@ def mish(channels, grid, n_classes):
 
 def double(channels, grid, n_classes):
     return linear(channels, grid, n_classes).double()
+
+def number(channels, grid, n_classes):
+    return 5
 
 def broken(channels, grid, n_classes):
     return 1 / 0
@@ -136,6 +144,60 @@ def test_the_smallest_grid(name):
         build_network(name, 2, (40, side - 1), 3)
 
 
+def test_the_input_is_scaled_to_a_root_mean_square_of_one():
+    """Over all cells, also empty ones. By hand: eight events in four cells, two in each."""
+    config = TNTConfig(
+        sensor=(4, 4),
+        grid=(4, 4),
+        representation="count",
+        bins=1,
+        polarity="unsigned",
+        transform="none",
+        landmark="center",
+        window_us=100,
+    )
+    four = events_of(range(8), [0, 1, 2, 3] * 2, [0, 1, 2, 3] * 2, [1] * 8)
+    none_else = make_windows(Recordings.from_events([four], [0]), 100)
+    # 16 cells, of which four hold 2
+    assert input_scale(config, none_else) == pytest.approx(1 / np.sqrt(4 * 4 / 16))
+    one = events_of([0], [0], [0], [1])
+    both = make_windows(Recordings.from_events([four, one], [0, 1]), 100)
+    assert input_scale(config, both) == pytest.approx(1 / np.sqrt((1 + 1 / 16) / 2))
+
+
+def test_the_network_sees_the_logarithm_of_one_more_than_its_volume():
+    config = CONFIG.replace(transform="none", polarity="split")
+    events = [random_events(300, seed=k, sensor=CONFIG.sensor) for k in range(3)]
+    windows = make_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us)
+    pipeline = new_pipeline(config, 3, 0, windows, "conv4", logarithm=True).eval()
+    plain = new_pipeline(config, 3, 0, windows, "conv4").eval()
+    assert float(pipeline.scale) == 1 != float(plain.scale)
+    volumes = pipeline.volumes(windows)
+    with torch.no_grad():
+        expected = plain.classifier(torch.log(1 + volumes))
+        torch.testing.assert_close(pipeline(windows), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_initial_weights_depend_on_the_seed_alone_and_others_draw_as_before(windows):
+    state = torch.get_rng_state()
+    first = new_pipeline(CONFIG, 3, 1 << 64, windows).state_dict()
+    assert torch.equal(torch.get_rng_state(), state)
+    torch.rand(3)
+    same = new_pipeline(CONFIG, 3, 1 << 64, windows).state_dict()
+    other = new_pipeline(CONFIG, 3, 5, windows).state_dict()
+    torch.testing.assert_close(dict(same), dict(first), rtol=0, atol=0)
+    assert not torch.equal(other["classifier.conv1.weight"], first["classifier.conv1.weight"])
+
+
+@pytest.mark.parametrize(("side", "n_pools"), [(64, 3), (65, 4)])
+def test_a_large_grid_has_one_pooling_more(side, n_pools):
+    """By its shorter side."""
+    for grid in ((side, 100), (100, side)):
+        network = build_network("residual", 2, grid, 3)
+        pools = [layer for layer in network.modules() if isinstance(layer, nn.MaxPool2d)]
+        assert len(pools) == n_pools
+
+
 @pytest.mark.parametrize(
     "function, message",
     [
@@ -143,6 +205,7 @@ def test_the_smallest_grid(name):
         ("double", "must have the same dtype"),
         ("broken", "ZeroDivisionError: division by zero"),
         ("absent", ": it has no function 'absent'"),
+        ("number", "must return a torch module, got int"),
     ],
 )
 def test_what_is_wrong_with_ones_own_is_said_before_training(

@@ -246,6 +246,133 @@ def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):
         read_dataset(tmp_path)
 
 
+def test_a_recording_of_just_under_35_minutes_is_read(tmp_path):
+    for name in "ab":
+        write(tmp_path / name / "1.npz", recording([7, 7 + (1 << 31) - 1]), sensor=SIZE)
+        write(tmp_path / name / "2.npz", recording([0, 1, ord(name)]), sensor=SIZE)
+    with pytest.raises(ValueError, match="hold the same events but are in two classes"):
+        read_dataset(tmp_path)
+    (tmp_path / "b" / "1.npz").unlink()
+    assert read_dataset(tmp_path).recordings.t.max() == (1 << 31) - 1
+
+
+@pytest.mark.parametrize("column", ["t", "x", "y", "p"])
+def test_recordings_that_differ_in_one_number_are_two(column, tmp_path):
+    """In whichever column."""
+    events = bar("flat", 0, side=60, n=50)
+    other = events.copy()
+    other[column][30] ^= 1
+    for k, one in enumerate((events, other)):
+        write(tmp_path / "flat" / f"{k}.npz", one, sensor=SIZE)
+    write(tmp_path / "upright" / "0.npz", bar("upright", 0, side=60), sensor=SIZE)
+    dataset = read_dataset(tmp_path)
+    assert (len(dataset.recordings), dataset.left_out) == (3, ())
+
+
+def test_late_events_are_sorted_and_those_of_one_time_keep_their_order(tmp_path):
+    t = np.repeat(np.arange(100), 20)
+    events = events_of(t, np.arange(2_000) % 64, np.arange(2_000) // 64, t % 2)
+    late = np.concatenate([events[:1_000], events[1_500:], events[1_000:1_500]])
+    write(tmp_path / "a" / "1.npz", late, sensor=SIZE)
+    write(tmp_path / "b" / "1.npz", events[:900], sensor=SIZE)
+    found = read_dataset(tmp_path).recordings
+    for name in "txyp":
+        np.testing.assert_array_equal(getattr(found, name)[:2_000], events[name])
+
+
+def test_a_sensor_that_does_not_fit_is_named_by_what_states_it(tmp_path):
+    """By a mask alone, or by the option; the sides that a recording needs are width and height."""
+    for k, name in enumerate("ab"):
+        write(tmp_path / name / "1.npz", events_of([1, 2], [5, 9], [k, 3], [1, 1]), sensor=(80, 60))
+    mask = np.zeros((60, 70), bool)
+    with pytest.raises(ValueError, match=r"^`mask` must be of the recordings' sensor, 80x60 "):
+        read_dataset(tmp_path, pixels=Pixels(mask=mask))
+    with pytest.raises(ValueError, match=r"^`sensor` must be of the recordings' sensor, 80x60 "):
+        read_dataset(tmp_path, pixels=Pixels(mask=mask, sensor=(70, 60)))
+    for k, name in enumerate("ab"):
+        (tmp_path / name / "1.npz").unlink()
+        x = np.repeat(np.arange(50), 4)
+        y = np.repeat(np.arange(20), 10)
+        write(tmp_path / name / "1.npy", events_of(np.arange(200) + k, x, y, x % 2))
+    with pytest.raises(ValueError, match=r"\(a/1.npy needs at least 50x20\)"):
+        read_dataset(tmp_path)
+
+
+def test_a_class_of_which_nothing_is_left_is_told_with_its_own_reasons(tmp_path):
+    for name in ("a/1.npz", "b/1.npz", "b/2.npz", "b/3.npz"):
+        path = write(tmp_path / name, recording([1, 2]), sensor=SIZE)
+        path.write_bytes(b"torn")
+    write(tmp_path / "a" / "2.npz", recording([1, 3]), sensor=SIZE)
+    message = r"no recording of class b is left; .*\(left out: b/1.npz: .*; and 2 more\)$"
+    with pytest.raises(ValueError, match=message):
+        read_dataset(tmp_path)
+
+
+def test_windows_of_a_fitted_length_hold_the_last_event_of_the_longest_recording(tmp_path):
+    """At 20,000 us since the first one: windows of 20 ms would end before it."""
+    for k, name in enumerate("ab"):
+        write(tmp_path / name / "1.npz", recording([5, 90 + k, 20_005 - 300 * k]), sensor=SIZE)
+    data = dataset_data(tmp_path, VolumeChoice.of(), split=Split(0))
+    assert data.config.window_us == 21_000 and len(data.training) == 2
+    assert "windows of 21000 us, as no recording is longer" in data.notes
+
+
+def test_the_record_and_the_notes_count_what_is_learned_and_what_is_held_out(tmp_path):
+    for k in range(10):
+        write(tmp_path / "a" / f"{k}.npz", recording([1, 2, 3 + k]), sensor=SIZE)
+        write(tmp_path / "b" / f"{k}.npz", recording([1, 2, 50 + k]), sensor=SIZE)
+    strayed = events_of([1, *range(60, 2_000)], [5] * 1_941, [5] * 1_941, [1] * 1_941)
+    strayed["x"][7] = 3_000
+    write(tmp_path / "a" / "10.npz", strayed, sensor=SIZE)
+    data = dataset_data(tmp_path, TNTConfig(), split=Split(0.3))
+    record = data.record
+    assert (record["real_recordings"], record["held_out_recordings"]) == (15, 6)
+    assert (record["left_out_off_sensor"], record["sensor"]) == (1, [64, 64])
+    assert record["source"].endswith("held out by number, the last ones")
+    assert set(data.held_out) == SIX_LAST
+    assert "recordings: a 11, b 10" in data.notes
+    assert "held out by number, the last ones: 6 of 21 recordings" in data.notes
+    assert "events left out of the recordings: 1 off the sensor" in data.notes
+    assert any("may follow the last learned ones within seconds" in note for note in data.notes)
+    data = dataset_data(tmp_path, TNTConfig(), split=Split(0))
+    assert (data.record["real_recordings"], data.record["held_out_recordings"]) == (21, 0)
+    assert len(data.validation) == 0 and len(data.notes) == 3
+
+
+SIX_LAST = {"a/8.npz", "a/9.npz", "a/10.npz", "b/7.npz", "b/8.npz", "b/9.npz"}
+"""Of eleven and of ten numbered recordings the three with the highest numbers."""
+
+
+def test_masked_pixels_are_those_of_the_region_that_is_left(tmp_path):
+    """In its own coordinates, for motions that are made again."""
+    for k, name in enumerate("ab"):
+        write(tmp_path / name / "1.npz", recording([1, 2 + k], [12]), sensor=SIZE)
+    mask = np.zeros((64, 64), bool)
+    mask[13, 31] = True
+    mask[60, 60] = True
+    for pixels, shape, masked in (
+        (Pixels(), None, None),
+        (Pixels(mask=mask), (64, 64), [(13, 31), (60, 60)]),
+        (Pixels((30, 11, 20, 30), True, mask), (30, 20), [(2, 1)]),
+    ):
+        if pixels.roi is not None:
+            for k, name in enumerate("ab"):
+                write(tmp_path / name / "1.npz", recording([1, 2 + k], [35]), sensor=SIZE)
+        found = dataset_data(tmp_path, TNTConfig(), pixels=pixels, split=Split(0)).masked
+        if masked is None:
+            assert found is None
+        else:
+            assert found.shape == shape and list(zip(*np.nonzero(found), strict=True)) == masked
+
+
+def test_nanoseconds_read_as_microseconds_are_warned_of_before_they_are_learned(tmp_path):
+    for k, name in enumerate("ab"):
+        t = np.arange(60) * 1_000_000
+        write(tmp_path / name / "1.npz", events_of(t, t % 60, t % (7 + k), t % 2), sensor=SIZE)
+    with pytest.warns(UserWarning, match="divide nanoseconds by 1000"):
+        dataset_data(tmp_path, TNTConfig(), split=Split(0))
+
+
 def test_who_was_seen_in_training_is_not_held_out(tmp_path):
     """Groups are found by a pattern. Where nothing is known, each recording is a group."""
     files = [f"{kind}/{'abcde'[k % 5]}{k}.npz" for kind in ("upright", "flat") for k in range(10)]
@@ -264,5 +391,6 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
 
     assert held_out_by(0) == "recording"
     assert held_out_by(1, groups="/(.)") == "group (/(.))"
-    with pytest.raises(ValueError, match=r"`validation` must be in \[0, 1\), got 1"):
-        held_out_by(0, validation=1)
+    for share in (1, -0.1):
+        with pytest.raises(ValueError, match=rf"`validation` must be in \[0, 1\), got {share}"):
+            held_out_by(0, validation=share)

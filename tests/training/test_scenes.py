@@ -168,6 +168,112 @@ def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
     assert objects._targets(scenes)[0].tolist() == [[[3, 3, 3], [3, 2, 3], [3, 3, 3]]]
 
 
+def test_the_places_near_an_object_name_its_class_and_those_around_it_nothing_at_all(monkeypatch):
+    """A map with a place a pixel. Within .15 of a recording's shorter side, 2.4 pixels, a place
+    names the object; up to .2, 3.2 pixels, it may say anything; all others say that nothing is
+    there. Of two objects the nearer one is named."""
+    fine = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: fine)
+    _, windows = recordings(1)
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    scenes = Scenes(
+        np.zeros((2, 6, 48, 60)),
+        np.array([1, 1]),
+        np.array([2, 0]),
+        np.array([[20.0, 20.0], [23.0, 20.0]]),
+    )
+    target, weight = objects._targets(scenes)
+    assert (target[0] == 3).all() and (weight[0] == 1).all()
+    assert target[1, 20, 16:28].tolist() == [3, 3, 2, 2, 2, 2, 0, 0, 0, 0, 3, 3]
+    assert weight[1, 20, 16:28].tolist() == [1, 0, 4, 4, 4, 4, 4, 4, 4, 4, 0, 1]
+    assert target[1, 16:25, 20].tolist() == [3, 3, 2, 2, 2, 2, 2, 3, 3]
+    assert weight[1, 16:25, 20].tolist() == [1, 0, 4, 4, 4, 4, 4, 0, 1]
+    assert (weight[1] == 4).sum() == 5 * 8 and (weight[1] == 0).sum() == 7 * 10 - 5 * 8
+
+
+def test_the_loss_of_scenes_is_a_weighted_mean_over_places(monkeypatch):
+    """A network that gives all places the same logits, and names class 1 everywhere."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    with torch.no_grad():
+        net[0].weight.zero_()
+        net[0].bias.copy_(torch.tensor([0.5, 2.0, -1.0, 1.0]))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(9)
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    seen = []
+    targets_of = objects._targets
+    monkeypatch.setattr(objects, "_targets", lambda some: seen.append(targets_of(some)) or seen[-1])
+    draws = unchanged(9, CONFIG)
+    draws.seed[:] = 3
+    found = objects.loss(Pipeline(CONFIG, net), windows, draws)
+    ((target, weight),) = seen
+    logits = np.array([0.5, 2.0, -1.0, 1.0])
+    losses = np.log(np.exp(logits).sum()) - logits
+    assert set(np.unique(target)) == {0, 1, 2, 3} and set(np.unique(weight)) == {0, 1, 4}
+    expected = (losses[target] * weight).sum() / weight.sum()
+    assert found.loss.item() == pytest.approx(expected, rel=1e-5)
+    assert found.n == (target < 3).sum() and found.n_right == (target == 1).sum()
+
+
+def test_the_noise_of_a_scene_is_everywhere_in_its_time_and_a_hot_pixel_is_one(monkeypatch):
+    """At a rate a pixel, up to the scene's end, in both polarities; the first half of a window has
+    half of it."""
+    config = CONFIG.replace(representation="count", bins=1, window_us=1_000_000)
+    maker = SceneMaker(config)
+    monkeypatch.setattr(module, "NOISE_HZ", (2.0, 2.0))
+    monkeypatch.setattr(module, "HOT_EVENTS", (1_000, 1_001))
+    until_us = np.full(60, 500_000)
+    scenes = maker._noise(60, until_us, np.random.default_rng(0))
+    assert scenes.shape == (60, 2, 48, 60)
+    totals = scenes.sum((1, 2, 3))
+    # 2 events a second and pixel, for half a second
+    is_hot = totals > 3_500
+    np.testing.assert_allclose(totals[~is_hot], 48 * 60, rtol=0.1)
+    np.testing.assert_allclose(totals[is_hot], 48 * 60 + 1_000, rtol=0.1)
+    assert 10 <= is_hot.sum() <= 30
+    assert ((scenes.sum(1) > 500).sum((1, 2)) == is_hot).all()
+    cold = scenes[~is_hot].sum(0)
+    np.testing.assert_allclose(cold.sum((1, 2)) / cold.sum(), 0.5, atol=0.02)
+    for axis in (0, 1):
+        along = cold.sum(0).sum(axis)
+        np.testing.assert_allclose(along / along.mean(), 1, atol=0.15)
+    # in time: bins that are as full
+    binned = SceneMaker(CONFIG.replace(bins=5, window_us=1_000_000))
+    monkeypatch.setattr(module, "HOT_EVENTS", (0, 1))
+    volumes = binned._noise(20, np.full(20, 1_000_000), np.random.default_rng(0))
+    bins = volumes.reshape(20, 2, 5, -1).sum((0, 1, 3))
+    np.testing.assert_allclose(bins / bins.sum(), [0.125, 0.25, 0.25, 0.25, 0.125], atol=0.01)
+    monkeypatch.setattr(module, "MOST_NOISE", 300)
+    assert (binned._noise(3, until_us[:3], np.random.default_rng(0)).sum((1, 2, 3)) < 301).all()
+
+
+@pytest.mark.parametrize(("n_events", "n_objects"), [(9, 0), (10, 1)])
+def test_an_object_of_few_events_is_not_there_yet(n_events, n_objects, no_noise):
+    config = CONFIG.replace(representation="count", bins=1)
+    events = events_of([0] * n_events, range(n_events), [5] * n_events, [1] * n_events)
+    windows = Windows(Recordings.from_events([events], [2]), np.zeros(1, int), np.zeros(1, int))
+    scenes = SceneMaker(config)(windows, unchanged(1, config), np.random.default_rng(0))
+    assert len(scenes.label) == len(scenes.position) == n_objects
+    assert scenes.volumes.sum() <= n_events
+
+
+def test_early_in_a_window_few_objects_are_there():
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    _, windows = recordings(30)
+    model = Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc"))
+    scores = SceneScores(CONFIG, model, windows)
+    pipeline = Pipeline(CONFIG, net)
+    there = [scores.after(pipeline, share).there.sum() for share in (0.05, 0.5, 1.0)]
+    assert there[0] == 0 and 5 < there[1] < there[2]
+    words = scores.to_dict(pipeline)
+    # of 1 ms
+    assert list(words["f1_against_time_ms"]) == ["0.3", "0.5"] and words["objects"] == there[2]
+
+
 @pytest.fixture(scope="module")
 def finder(tmp_path_factory):
     """A map model of upright and flat bars at 32x32."""

@@ -71,6 +71,7 @@ def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
     r = recordings.names.index("user01_lab.npz[5150000:5230000]")
     assert recordings.offsets[r + 1] - recordings.offsets[r] == len(cut(part("upright", 1, 1)))
     assert data.record["source"] == "recordings of own classes, held out by session"
+    assert "held out by session: 1 of 3" in data.notes
     sides = [
         {recordings.names[r][:10] for r in windows.recording}
         for windows in (data.training, data.validation)

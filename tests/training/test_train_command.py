@@ -89,6 +89,60 @@ def test_a_run_with_other_options_is_refused_before_recordings_are_read(
     assert load_model(out).record["command"].endswith("--seed 1")
 
 
+@pytest.fixture
+def asked(train, monkeypatch):
+    """What a command would train on and how: data, settings, and other motions."""
+    given = []
+
+    def fit(data, settings, *_, **more):
+        given.append((data, settings, more["motions"]))
+        raise ValueError("not trained")
+
+    def run(folder, *words):
+        code, err, _ = train(folder, *words)
+        assert code == 2 and err.endswith("not trained\n"), err
+        return given.pop()
+
+    monkeypatch.setattr("async_tnt.training.fitting.fit", fit)
+    return run
+
+
+def test_options_that_decide_reach_the_training(tmp_path, asked):
+    """Its settings, what is held out, and the pixels that are learned from."""
+    folder = write_set(tmp_path / "set", {"upright": 4, "flat": 4}, side=34)
+    words = ("--mirror", "--seed", 3, "--network", "conv4", "--validation", 0.5)
+    words += ("--roi", "1,0,30,34", "--window-us", 50_000, "--groups", r"(\d\d)\.")
+    data, settings, motions = asked(folder, *words)
+    assert motions is None
+    assert (settings.epochs, settings.seed, settings.network) == (1, 3, "conv4")
+    assert settings.augmentation.mirror and not settings.everywhere
+    assert (data.config.window_us, data.config.grid, data.config.sensor) == (
+        50_000,
+        (34, 34),
+        (34, 34),
+    )
+    # by their numbers: the same ones of both classes
+    assert len(data.held_out) == 4 and len({name[-6:-4] for name in data.held_out}) == 2
+    assert data.training.recordings.x.min() >= 1 and data.training.recordings.x.max() <= 30
+    assert data.record["pixels"]["roi"] == "1,0,30,34"
+
+
+def test_recordings_are_read_by_the_options(tmp_path, asked):
+    """Rows whose columns have no names, in another order."""
+    for name in ("flat", "upright"):
+        for k in range(2):
+            events = bar(name, k, side=34, n=200)
+            rows = np.column_stack([events[column] for column in "xypt"])
+            path = tmp_path / "set" / name / f"{k}.csv"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.savetxt(path, rows, fmt="%d", delimiter=",")
+    data, *_ = asked(tmp_path / "set", "--sensor", "34x34", "--columns", "xypt")
+    assert data.left_out == () and len(data.training.recordings) == 4
+    np.testing.assert_array_equal(
+        data.training.recordings.x[:200], bar("flat", 0, side=34, n=200)["x"]
+    )
+
+
 def test_a_model_of_another_program_is_not_replaced(gestures, train, tmp_path):
     (tmp_path / "m.safetensors").write_bytes(b"weights")
     code, err, _ = train(gestures)

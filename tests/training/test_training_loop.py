@@ -13,10 +13,12 @@ from made import events_of
 torch = pytest.importorskip("torch")
 
 from async_tnt.base.progress import Bar  # noqa: E402
+from async_tnt.networks.models.model import Model  # noqa: E402
 from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
-from async_tnt.training.loop import _optimizer, batches_of  # noqa: E402
+from async_tnt.training.loop import _optimizer, balanced_order, batches_of  # noqa: E402
+from async_tnt.training.networks import build_network  # noqa: E402
 from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, new_pipeline, pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
@@ -141,6 +143,7 @@ def test_evaluation_by_hand():
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
     assert (found.to_dict()["windows"], found.to_dict()["recordings"]) == (6, 2)
     assert found.per_recording == 0.5  # mean of .731, .731, .0001 for class 1 is below a half
+    np.testing.assert_array_equal(found.recording_confusion, [[1, 0], [1, 0]])
     # nothing yet: 0
     assert found.against_time == {
         10.0: 0.5,
@@ -390,6 +393,41 @@ def test_loss_and_accuracy_of_an_epoch_are_means_over_its_windows(smoothing, win
     assert run.history[0]["training"] == pytest.approx((0.75, 0.25)[logits.argmax()])
 
 
+def test_the_accuracy_of_an_epoch_is_of_the_windows_that_show_something(windows, tmp_path):
+    """With the same answer to all: every window of one class is right, or every one of the other.
+    Those that show nothing are neither."""
+    (tmp_path / "dead.py").write_text(DEAD)
+    settings = TrainSettings(epochs=1, batch=36, learning_rate=1e-12)
+    settings = replace(settings, network=f"{tmp_path / 'dead.py'}:build")
+    settings = replace(settings, augmentation=Augmentation(nothing=0.5))
+    found = []
+    for label in (0, 1):
+        labels = np.full(24, label)
+        of_one = replace(windows, recordings=replace(windows.recordings, labels=labels))
+        run = train(CONFIG, of_one, of_one[:0], settings, tmp_path / str(label))
+        found.append(run.history[0]["training"])
+    assert sorted(found) == [0.0, 1.0]
+
+
+def test_a_resumed_training_shows_what_was_done_before(windows, tmp_path):
+    began = []
+
+    class Noted(Bar):
+        def __init__(self, total, title, *, done):
+            super().__init__(total, title, done=done)
+            began.append((done, total))
+
+    settings = TrainSettings(epochs=2, batch=32)
+    with pytest.raises(KeyboardInterrupt):
+        train(CONFIG, windows, windows[:0], settings, tmp_path, progress=Noted, report=interrupt)
+    train(CONFIG, windows, windows[:0], settings, tmp_path, progress=Noted)
+    assert began == [(0, 6), (3, 6)]
+
+
+def interrupt(row):
+    raise KeyboardInterrupt
+
+
 def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
     moved = windows.recordings.x.copy()
     moved[7] ^= 1
@@ -402,11 +440,31 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
             "holds a run with other batch, seed; remove it",
         ),
         (other, ONE_EPOCH, CLASSES, "holds a run with other data"),
+        (windows, ONE_EPOCH, CLASSES[::-1], "holds a run with other classes; remove it"),
         (windows[:0], ONE_EPOCH, CLASSES, "`training` must hold at least one window"),
         (windows, ONE_EPOCH, ("a",), r"labels must be in \[0, 1\), one for each class, got 1"),
     ):
         with pytest.raises(ValueError, match=message):
             train(CONFIG, training, training[:0], settings, trained[1], classes=classes)
+
+
+def test_other_windows_to_validate_on_are_another_run(windows, tmp_path):
+    """Though all recordings are the same, and as many windows are held out."""
+    train(CONFIG, windows[:40], windows[40:50], ONE_EPOCH, tmp_path)
+    with pytest.raises(ValueError, match="holds a run with other data; remove it"):
+        train(CONFIG, windows[:40], windows[50:60], ONE_EPOCH, tmp_path)
+
+
+@pytest.mark.parametrize("more", ["start", "teachers", "motions"])
+def test_what_is_for_classes_of_windows_is_refused_for_scenes(more, windows, tmp_path):
+    plain = CONFIG.replace(transform="none", polarity="split", landmark="center", bins=2)
+    settings = TrainSettings(network="map", everywhere=True)
+    network = build_network("conv4", plain.channels, plain.grid, 2)
+    model = Model.from_torch(network, plain, CLASSES)
+    given = {"start": model, "teachers": [model], "motions": object()}[more]
+    with pytest.raises(ValueError, match="are for classes of windows; `everywhere` trains on"):
+        train(plain, windows, windows[:0], settings, tmp_path, **{more: given})
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("column", ["t", "x", "y", "p", "labels", "recording", "start_us"])
@@ -470,6 +528,9 @@ def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_o
     windows = replace(windows, recordings=replace(windows.recordings, labels=labels))
     settings = TrainSettings(batch=8, balance=balance)
     first = list(batches_of(CONFIG, windows, settings, 0))
+    twice = batches_of(CONFIG, windows, replace(settings, passes=2), 0)
+    shown = np.concatenate([some.labels for some, _ in twice])
+    assert np.bincount(shown).tolist() == [2 * n for n in expected]
     again = list(batches_of(CONFIG, windows, settings, 0))
     second = list(batches_of(CONFIG, windows, settings, 1))
     assert np.bincount(np.concatenate([some.labels for some, _ in first])).tolist() == expected
@@ -482,6 +543,27 @@ def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_o
         for epoch in (first, again, second)
     ]
     assert orders[0] == orders[1] != orders[2] and seeds[0] == seeds[1] != seeds[2]
+
+
+def test_a_balanced_epoch_shows_of_a_class_all_or_another_part():
+    """A rare class in rounds, all of it in each; of a frequent one, not always the same.
+
+    Which class is shown once more differs, too.
+    """
+    labels = np.array([0] * 50 + [1] * 6 + [2] * 5)
+    counts = []
+    once_more = set()
+    for epoch in range(12):
+        order = balanced_order(labels, np.random.default_rng(epoch))
+        counts.append(np.bincount(order, minlength=len(labels)))
+        of_classes = [counts[-1][labels == label] for label in range(3)]
+        shown = [int(some.sum()) for some in of_classes]
+        assert sorted(shown) == [20, 20, 21]
+        once_more.add(shown.index(21))
+        assert max(np.ptp(some) for some in of_classes) <= 1
+    assert once_more == {0, 1, 2}
+    # .6^12 of 50 are never shown: 1 in 9 times one
+    assert (np.sum(counts, axis=0) > 0).sum() >= len(labels) - 2
 
 
 class Teacher:

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from async_tnt import TNTConfig, load_model
 from async_tnt.resynthesis.calibration import side_by_side, unlike
 from async_tnt.resynthesis.reconstruction import SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.training.fitting import fit
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import moved_recordings
 from async_tnt.training.recordings import Recordings
@@ -133,6 +135,8 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(
         "async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again")
     )
     resynthesize(*windows, CONFIG, SETTINGS, folder)
+    # how many are shown as recorded changes none of them
+    resynthesize(*windows, CONFIG, replace(SETTINGS, recorded=0.5), folder)
 
 
 def test_what_an_epoch_shows(windows, made):
@@ -174,15 +178,20 @@ def test_training_is_validated_on_other_motions_if_they_are_many(
     windows, made, tmp_path, monkeypatch, at_least, is_told
 ):
     motions, _ = made
-    monkeypatch.setattr("async_tnt.training.loop.MIN_MOVED", at_least)
+    for module in ("loop", "fitting"):
+        monkeypatch.setattr(f"async_tnt.training.{module}.MIN_MOVED", at_least)
     settings = TrainSettings(epochs=3, batch=8, balance=True)
     data = TrainingData(CONFIG, ("a", "b"), *windows)
-    result = train(data, settings, tmp_path / "run", motions=motions)
-    row = result.history[-1]
+    fitted = fit(data, settings, tmp_path / "run", motions=motions)
+    row = fitted.history[-1]
     assert (
         "per_window" in row
         and ({"motions_per_window", "motions_validation_loss"} <= set(row)) == is_told
     )
+    assert ("validation_motions" in fitted.model.record) == is_told
+    if is_told:  # each of these windows is a recording of its own
+        found = fitted.model.record["validation_motions"]
+        assert found["windows"] == 4 and not [name for name in found if "recording" in name]
     with pytest.raises(ValueError, match="motions"):
         train(data, settings, tmp_path / "run")
 
@@ -230,6 +239,11 @@ def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
     for text in ("{", "[]", "[" * 10_000):
         (tmp_path / "torn" / "motions.json").write_text(text)
         refused(r"motions\.json: damaged")
+    with pytest.raises(ValueError, match="`variations` must be at least 1, got 0"):
+        MotionSettings(variations=0)
+    for share in (-0.1, 1.1):
+        with pytest.raises(ValueError, match=rf"`recorded` must be in \[0, 1\], got {share}"):
+            MotionSettings(recorded=share)
     with pytest.raises(ValueError, match="`window_us` must be at least 104"):
         resynthesize(*windows, CONFIG.replace(window_us=100), SETTINGS, tmp_path / "short")
 
@@ -248,7 +262,10 @@ def test_the_command(tmp_path, program, few_steps):
     # of two windows
     assert summary["motions"]["with_path"] == 10 and "validation_motions" not in summary
     # no more than epochs
-    assert load_model(tmp_path / "m.safetensors").record["motions"]["variations"] == 2
+    model = load_model(tmp_path / "m.safetensors")
+    assert model.record["motions"]["variations"] == 2
+    # what moves otherwise has time bins, however often pixels fire
+    assert (model.config.representation, model.config.bins) == ("volume", 5)
     assert (tmp_path / "runs" / "m" / "motions" / "motions.png").read_bytes().startswith(b"\x89PNG")
     code, _, err = program("train", tmp_path / "data", *words)
     assert code == 0 and "epoch" not in err, err  # what is finished is not done again

@@ -5,6 +5,7 @@ Simulated cameras record them. They are split, mixed with recordings, kept and r
 
 import json
 import os
+import shutil
 import sys
 
 import numpy as np
@@ -29,6 +30,7 @@ from async_tnt.training.work import Work
 from async_tnt.volume.events import EVENT_DTYPE
 
 SENSOR = (24, 20)
+EVENT = np.zeros(1, EVENT_DTYPE)
 
 
 @pytest.fixture(autouse=True)
@@ -194,6 +196,84 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
         simulated(tmp_path / "a")
 
 
+def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path, monkeypatch):
+    """A run with other pictures on either side is refused; another seed is another run."""
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 4, "held-out": 3})
+    folder = write_pictures(tmp_path / "p", n=3)
+    pictures = [LabelledPicture(path, 0) for path in find_pictures(folder)["bar"]]
+    scene = SceneSettings(SENSOR, 20_000)
+    sides = {"training": pictures[:2], "held-out": pictures[2:]}
+
+    def simulated(store, changed=None, seed=0):
+        made = []
+        for part, some in sides.items():
+            if part == changed:
+                some = pictures
+            with RecordingsWriter() as writer:
+                simulate_pictures(writer, part, some, scene, store, seed=seed)
+                made.append(writer.finish())
+        return made
+
+    first = simulated(tmp_path / "a")
+    assert [name.partition(", ")[0] for name in first[1].names] == ["bar/bar02.png"] * 3
+    assert {name.rpartition(", ")[2] for name in first[1].names} == {f"take {k}" for k in (1, 2, 3)}
+    again = simulated(tmp_path / "a")
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.t, other.t)
+    for part in sides:
+        with pytest.raises(ValueError, match=rf"other pictures \({part} pictures\)"):
+            simulated(tmp_path / "a", changed=part)
+    with pytest.raises(ValueError, match=r"other pictures \(seed\)"):
+        simulated(tmp_path / "a", seed=1)
+    renamed = pictures[0].path.with_stem("bar0")
+    sides["training"][0] = LabelledPicture(pictures[0].path.rename(renamed), 0)
+    with pytest.raises(ValueError, match=r"other pictures \(training pictures\)"):
+        simulated(tmp_path / "a")
+    other = simulated(tmp_path / "b", seed=1)
+    assert not any(np.array_equal(a.t, b.t) for a, b in zip(first, other, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "follow", "n_takes"),
+    [
+        ((128, 128), False, 40),
+        ((64, 32), False, 40),
+        ((256, 128), False, 20),
+        ((128, 128), True, 7),  # 40 / 6
+        ((64, 32), True, 40),
+        ((1280, 720), False, 4),  # a tenth at least
+        ((1280, 720), True, 4),
+    ],
+)
+def test_a_sensor_that_takes_longer_takes_fewer(sensor, follow, n_takes, tmp_path, monkeypatch):
+    """A large one, and one that follows the object, which takes six times as long."""
+    monkeypatch.setattr(simulated_pictures, "run_counted", lambda *_: None)
+    monkeypatch.setattr(simulated_pictures, "_read", lambda chunk: [EVENT[:0]] * len(chunk.takes))
+    picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p", n=1))["bar"][0], 0)
+    settings = SceneSettings(sensor, 20_000, follow=follow)
+    with RecordingsWriter() as writer:
+        takes = simulate_pictures(writer, "training", [picture], settings, tmp_path / "a")
+        assert takes == len(writer.finish()) == n_takes
+
+
+def test_pictures_are_found_by_suffixes_in_any_case_and_hidden_files_are_not(tmp_path):
+    folder = write_pictures(tmp_path / "p", n=1)
+    (folder / "bar" / "bar00.png").rename(folder / "bar" / "IMG.PNG")
+    (folder / "bar" / ".thumb.png").write_bytes(b"")
+    found = find_pictures(folder)
+    assert {name: [path.name for path in some] for name, some in found.items()} == {
+        "bar": ["IMG.PNG"],
+        "disc": ["disc00.png"],
+    }
+
+
+def test_a_camera_of_another_sensor_is_not_measured(tmp_path):
+    t = np.arange(0, 300_000, 100)
+    np.savez(tmp_path / "a.npz", t=t, x=t % 5, y=t % 7, p=t % 2, sensor=(25, 20))
+    with pytest.raises(ValueError, match=r"a camera of \(25, 20\) pixels, expected \(24, 20\)"):
+        measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
+
+
 def test_a_file_of_a_large_sensor_has_fewer_recordings(tmp_path):
     picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p"))["bar"][0], 0)
     with RecordingsWriter() as writer:
@@ -212,6 +292,15 @@ def test_without_a_sensor_or_pictures(tmp_path, program, monkeypatch):
         "train", tmp_path / "p", "--sensor", "24x20", "--motions", "resynthesized"
     )
     assert code == 2 and "--motions resynthesized is for recordings" in err
+    for words in (("--mask", "m.npy"), ("--roi", "0,0,9,9")):
+        code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", *words)
+        assert code == 2 and "--mask, and --roi without --crop, are for recordings" in err
+    code, _, err = program("train", tmp_path / "p", "--camera", tmp_path / "a.npz")
+    assert code == 2 and "--camera needs --sensor WxH, the camera's pixels" in err
+    write_pictures(tmp_path / "p" / "Test", n=1)
+    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--test")
+    assert code == 2 and "--test needs recordings of a camera in DATASET/Test" in err
+    shutil.rmtree(tmp_path / "p" / "Test")
     code, _, err = program("train", tmp_path / "q", "--sensor", "24x20", "--size", "0.2-0.4")
     assert code == 2 and f"no folder {tmp_path / 'q'}" in err
     np.savez(tmp_path / "p/day.npz", t=[1], x=[1], y=[1], p=[1])

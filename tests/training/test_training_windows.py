@@ -30,3 +30,45 @@ def test_windows_without_a_duration_reach_to_the_last_event():
     windows = make_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True)
     np.testing.assert_array_equal(windows.recording, [0, 0, 0, 1])
     np.testing.assert_array_equal(windows.start_us, [3, 103, 2_000_000_003, 50])
+
+
+def test_the_last_window_reaches_the_end_of_what_a_column_of_times_holds():
+    """Of 32 bits with a sign: the window's end is beyond it."""
+    last_us = (1 << 31) - 1
+    windows = make_windows(Recordings.from_events([recording([0, last_us])], [0]), 100_000)
+    assert windows.start_us.tolist() == [0, last_us // 100_000 * 100_000]
+    for k, since_us in ((0, 0), (1, last_us % 100_000)):
+        t, x, y, p = windows.events(k, 100_000, (50_000, 50_000))
+        assert t.tolist() == [since_us]
+        assert (x.tolist(), y.tolist(), p.tolist()) == ([5], [7], [1])
+
+
+def test_windows_that_are_cut_out_keep_their_events_classes_and_names():
+    """Each on a recording of its own, with what is in the margins around it."""
+    times = [[0, 40, 99, 100, 149, 150, 260], [5], [120]]
+    recordings = Recordings.from_events(map(recording, times), [2, 1, 0], ["a", "b", "c"])
+    windows = make_windows(recordings, 100)[[4, 1, 0]]
+    cut = windows.cut(100, margin_us=50)
+    assert cut.recordings.names == ("c", "a", "a")
+    assert cut.labels.tolist() == [0, 2, 2] and cut.recording.tolist() == [0, 1, 2]
+    assert np.diff(cut.recordings.offsets).tolist() == [1, 4, 5]
+    around = [[20], [-1, 0, 49, 50], [0, 40, 99, 100, 149]]
+    for k, expected in enumerate(around):
+        for windows_of_them in (windows, cut):
+            assert windows_of_them.events(k, 100, (50, 50))[0].tolist() == expected
+            inside = [t for t in expected if 0 <= t < 100]
+            assert windows_of_them.events(k, 100)[0].tolist() == inside
+
+
+def test_events_of_a_pixel_are_a_mean_over_pixels_and_a_median_over_windows():
+    """Of one polarity: a pixel that fires ON and OFF counts twice."""
+    rows = [
+        *[(t, 1, 1, t % 2) for t in range(4)],  # two ON, two OFF
+        *[(100 + t, 1, 1, 1) for t in range(5)],  # 5 at a pixel and 1 at another: 3
+        (105, 2, 1, 1),
+        *[(200 + t, 1, 1, 1) for t in range(90)],
+    ]
+    windows = make_windows(Recordings.from_events([events_of(*np.array(rows).T)], [0]), 100)
+    assert [windows[k : k + 1].events_a_pixel(100) for k in range(3)] == [2, 3, 90]
+    assert windows.events_a_pixel(100) == 3
+    assert windows[:0].events_a_pixel(100) == 0

@@ -1,0 +1,190 @@
+"""What `async-tnt train` prints and writes down of itself: epochs, the summary, and its command."""
+
+import argparse
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from async_tnt.cli import train, train_options
+from async_tnt.cli.train_summary import print_summary
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A list with the time, in seconds, that the command sees."""
+    now_s = [100.0]
+    monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    return now_s
+
+
+def test_epochs_are_told_once_a_second_and_the_first_and_the_last_always(clock, capsys):
+    report = train._reporter(6)
+    for epoch, passed_s in enumerate((0.0, 0.4, 0.4, 0.3, 0.2, 0.1), 1):
+        clock[0] += passed_s
+        report({"epoch": epoch, "loss": 0.5})
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[1] for line in lines] == ["1/6", "4/6", "6/6"]
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ({}, ""),
+        ({"f1": 0.25}, "  held out: F1 0.2500"),
+        (
+            {"per_window": 0.75, "per_recording": 0.5},
+            "  held out: 0.7500 by window, 0.5000 by recording",
+        ),
+        (
+            {"per_window": 0.75, "per_recording": 0.5, "motions_per_window": 0.125},
+            "  held out: 0.7500 by window, 0.5000 by recording; in other motions 0.1250 by window",
+        ),
+    ],
+)
+def test_a_line_of_an_epoch_has_what_was_measured(row, told, capsys):
+    train._reporter(9)({"epoch": 2, "loss": 1.25, "training": 0.875, **row})
+    assert capsys.readouterr().err == f"epoch 2/9  loss 1.2500{told}\n"
+
+
+RECORD = {
+    "validation": {"per_window": 0.75, "windows": 40, "per_recording": 0.5, "recordings": 8},
+    "validation_motions": {"per_window": 0.25, "windows": 60},
+    "test": {"per_window": 0.625, "windows": 16, "per_recording": 0.875, "recordings": 4},
+    "data": {},
+    "network": "conv4",
+    "multiplications": 1_234_567,
+    "temperature": 0.75,
+}
+
+
+def summary(capsys, record=RECORD, scores=None, **more):
+    fitted = SimpleNamespace(model=SimpleNamespace(record=record), scores=scores)
+    settings = {"as_json": False} | more
+    print_summary(
+        fitted, Path("m.safetensors"), [Path("m.safetensors"), Path("m.json")], **settings
+    )
+    return capsys.readouterr().out.splitlines()
+
+
+def test_the_summary_tells_each_part_by_its_name(capsys):
+    assert summary(capsys) == [
+        "held out: 0.7500 of 40 windows, 0.5000 of 8 recordings right",
+        "held out, in other motions: 0.2500 of 60 windows right",
+        "Test: 0.6250 of 16 windows, 0.8750 of 4 recordings right",
+        "network conv4, 1,234,567 multiplications a complete window; temperature 0.750",
+        "wrote m.safetensors, m.json",
+    ]
+    pictures = {**RECORD, "data": {"pictures": {"held_out": 3, "pictures": 16}}}
+    lines = summary(capsys, pictures)
+    # those of Test are of a camera
+    assert [line.partition(" recordings")[2] for line in lines[:3]] == [
+        " (simulated ones: of 3 pictures) right",
+        "",
+        " right",
+    ]
+    assert "of the sessions that were learned from" in "".join(
+        summary(capsys, {**RECORD, "data": {"held_out_in_time": ["a"]}})
+    )
+    printed = json.loads("".join(summary(capsys, as_json=True)))
+    assert printed == {"out": "m.safetensors", **RECORD}
+
+
+def test_the_summary_of_a_map_model_tells_f1(capsys):
+    found = {"f1": 0.75, "objects": 100, "f1_against_time_ms": {"30": 0.25, "50": 0.5}}
+    record = {name: value for name, value in RECORD.items() if name in ("network", "data")}
+    record |= {"validation": found, "multiplications": 5}
+    assert summary(capsys, record)[:2] == [
+        "held out: F1 0.7500 of 100 objects in scenes (0.2500 after 30 ms, 0.5000 after 50 ms)",
+        "network conv4, 5 multiplications a complete window; temperature 1.000",
+    ]
+
+
+@pytest.mark.parametrize(("n", "is_told"), [(19, True), (20, False)])
+def test_windows_of_a_class_are_told_where_few_recordings_are_held_out(n, is_told, capsys):
+    scores = {
+        "classes": ["a", "b"],
+        "confusion": [[n - 1, 1], [2, 3]],
+        "window_confusion": [[30, 4], [5, 6]],
+    }
+    found = [line for line in summary(capsys, scores=scores) if line.startswith("  ")]
+    expected = [
+        f"  a: 30 of 34 windows of {n} held-out recordings right",
+        "  b: 6 of 11 windows of 5 held-out recordings right",
+    ]
+    assert found == (expected if is_told else [])
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("set --out b.safetensors --json", ""),
+        ("set --validation 0.2 --seed 0 --motions recorded", ""),
+        (
+            "set --roi 1,2,30,40 --crop --size 0.2-0.4 --grid 20x16 --mirror",
+            "--roi 1,2,30,40 --crop --mirror --size 0.2-0.4 --grid 20x16",
+        ),
+        (
+            r"set --validation 0.5 --groups user\d+ --network /home/me/mine.py:build --seed 7",
+            r"--validation 0.5 --groups 'user\d+' --network mine.py:build --seed 7",
+        ),
+        ("set --mask hot.npy --camera a.npz", "--mask MASK"),
+    ],
+)
+def test_the_command_in_the_record_repeats_what_decides_and_names_no_folder(words, told):
+    parser = argparse.ArgumentParser()
+    train_options.add_arguments(parser)
+    args = parser.parse_args(words.split())
+    assert train._command(args) == f"async-tnt train {told}".strip()
+
+
+def test_pictures_options_are_refused_for_recordings_alone(program, tmp_path):
+    for name in "ab":
+        (tmp_path / "set" / name).mkdir(parents=True)
+        (tmp_path / "set" / name / "1.npz").touch()
+    for words in (("--size", "0.2-0.4"), ("--camera", "a.npz")):
+        code, _, err = program("train", tmp_path / "set", *words)
+        assert code == 2 and "--camera and --size are for pictures; DATASET holds none" in err
+    code, _, err = program("train", tmp_path / "set", "--roi", "0,0,1,9", "--crop")
+    assert code == 2 and "must have sides of at least 2 pixels, got 1x9" in err
+
+
+@pytest.mark.parametrize("share", ["1", "-0.1", "nan", "half"])
+def test_a_validation_share_is_below_one(share, program, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        program("train", "nowhere", f"--validation={share}")
+    assert stopped.value.code == 2
+    expected = f"argument --validation: must be a share in [0, 1), got '{share}'"
+    assert expected in capsys.readouterr().err
+
+
+NUMBERS = {"events": 100.0, "ON share": 50.0}
+
+
+@pytest.mark.parametrize(("n_found", "is_warned"), [(20, False), (19, True)])
+def test_motions_that_were_found_are_told_and_few_are_warned_of(n_found, is_warned, capsys):
+    """A fifth is enough. What differs between recorded and simulated windows is named."""
+    record = {
+        "windows": 100,
+        "with_path": n_found,
+        "with_neighbours": 3,
+        "without_path": {"too few events": 70, "it jumps": 100 - 70 - n_found},
+        "match": {"recorded": NUMBERS, "resynthesized": NUMBERS},
+    }
+    train._note_motions(record)
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"motion found in {n_found} of 100 windows, in 3 only with those beside them; the others "
+        f"are used as recorded only (too few events 70, it jumps {30 - n_found})"
+    )
+    assert any("so few motions hardly change" in line for line in lines) == is_warned
+    assert not any("windows differ" in line for line in lines)
+    other = {"recorded": NUMBERS, "resynthesized": NUMBERS | {"ON share": 5.0}}
+    record |= {"match": other, "with_neighbours": 0, "without_path": {}}
+    train._note_motions(record)
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"motion found in {n_found} of 100 windows; the others are used as recorded only"
+    )
+    assert "recorded and simulated windows differ in ON share: compare" in lines[-1]
