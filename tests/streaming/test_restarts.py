@@ -42,6 +42,9 @@ WAYS = {
         tuple(np.ascontiguousarray(part[f]) for f in "txyp") for part in packets_of(events, 500)
     ],
 }
+WAYS["lists"] = lambda events: [
+    tuple(column.tolist() for column in columns) for columns in WAYS["columns"](events)
+]
 SETTINGS = [{}, {"every_events": 700}, {"late": "drop"}, {"hop_us": 50_000}, {"confidence": 0.9}]
 
 

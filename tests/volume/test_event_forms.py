@@ -107,6 +107,16 @@ def test_records_of_every_layout(layout):
     assert_decoded(SimpleNamespace(polarity_events=SimpleNamespace(numpy=lambda: events)))
 
 
+def test_fields_that_are_renamed_in_place_are_found_by_their_new_names():
+    events = records(EVENT_DTYPE.descr)
+    decoder = EventDecoder(SENSOR)
+    decoded(decoder, events)
+    events["x"] = Y
+    events["y"] = X
+    events.dtype.names = ("t", "y", "x", "p")
+    assert decoded(decoder, events) == EVENTS
+
+
 @pytest.mark.parametrize("stored", STORED.values(), ids=STORED)
 def test_any_memory(stored):
     for layout in ("ours", "big-endian"):
