@@ -30,6 +30,7 @@ WRONG = [
         for name, v in (
             ("bins", 9.0),
             ("bins", True),
+            ("window_us", False),
             ("bins", np.array([9, 9])),
             ("window_events", 9.0),
         )
@@ -63,6 +64,7 @@ WRONG = [
             (1e6 + 1, 1e6 + 1),
             (math.nan, math.nan),
             (10**400, math.inf),
+            (-(10**400), -math.inf),
         )
     ],
     (
