@@ -3,12 +3,30 @@
 import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+from async_tnt.base import worker
 from async_tnt.evaluation.processes import run_all
 
 
 def twice(number):
     return 2 * number
+
+
+TIMERS = []
+"""What `note_timers` has noted in this process."""
+
+
+def note_timers():
+    """From now on, only note when a worker sets its time limit (its seconds), and lifts it."""
+    worker.faulthandler = SimpleNamespace(
+        dump_traceback_later=lambda limit_s, exit: TIMERS.append(limit_s),
+        cancel_dump_traceback_later=lambda: TIMERS.append("lifted"),
+    )
+
+
+def noted_timers():
+    return list(TIMERS)
 
 
 class OddError(Exception):

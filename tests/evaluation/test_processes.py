@@ -9,7 +9,13 @@ from pathlib import Path
 
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
-from evaluation.simple_work import raise_odd, sleep_or_end, twice
+from evaluation.simple_work import (
+    note_timers,
+    noted_timers,
+    raise_odd,
+    sleep_or_end,
+    twice,
+)
 from processes import started
 from waiting import until
 
@@ -97,6 +103,18 @@ def test_a_call_over_its_limit_ends_the_worker():
         worker.result(0.1)
     worker.end()
     assert not worker.is_running
+
+
+def test_a_limit_is_lifted_when_its_call_has_returned():
+    """What follows may take any time: the caller may be slow, and other calls have no limit."""
+    worker = Worker()
+    worker.submit(note_timers)
+    worker.submit(twice, 2, limit_s=5.0)
+    worker.submit(twice, 3)
+    worker.submit(noted_timers)
+    answers = [worker.result() for _ in range(4)]
+    worker.end()
+    assert answers == [None, 4, 6, ["lifted", 5.0, "lifted", "lifted"]]
 
 
 def test_a_cluster_without_workers(empty_cluster, tmp_path, monkeypatch):

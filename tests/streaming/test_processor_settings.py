@@ -28,6 +28,23 @@ def test_decision_carries_logits_probabilities_and_label():
     assert decision.logits.dtype == np.float32
 
 
+def test_a_decision_as_plain_values_has_six_decimals():
+    processor = Processor(
+        CONFIG, classifier=lambda volume: [0.0, np.log(2.0)], classes=["cat", "dog"], start_us=2
+    )
+    processor.push(at([5, 9]))
+    assert list(processor.fire().to_dict().items()) == [
+        ("time_us", 9),
+        ("window_start_us", 2),
+        ("label", "dog"),
+        ("probability", 0.666667),
+        ("probabilities", [0.333333, 0.666667]),
+        ("events", 2),
+        ("complete", False),
+        ("trigger", "fire"),
+    ]
+
+
 @pytest.mark.parametrize(
     ("answer", "classes", "message"),
     [
