@@ -45,6 +45,22 @@ def test_a_window_without_events_is_not_closed_but_left(update, landmark):
     assert update(volume, events_of([10_000], [3], [3], [1])) == 0
 
 
+@pytest.mark.parametrize("landmark", ["center", "window"])
+def test_after_a_close_the_next_event_opens_a_window_and_the_counts_go_on(landmark):
+    volume = opened(CONFIG.replace(landmark=landmark), events_of([500], [16], [16], [1]))
+    assert volume.is_open and volume.array.any()
+    volume.close()
+    assert not volume.is_open and not volume.array.any()
+    assert (volume.n_events, volume.newest_us) == (0, -1)
+    # no multiple of the window after the first start, and no window that is closed by it
+    assert volume.update_one(1234, 16, 16, 1) == 0
+    assert (volume.start_us, volume.newest_us, volume.n_events) == (1234, 1234, 1)
+    volume.update_one(1233, 16, 16, 1)
+    counts = volume.counts
+    assert (counts.received, counts.kept) == (3, 1)
+    assert (counts.dropped_tau_zero, counts.dropped_late) == (1, 1)
+
+
 def test_array_is_a_read_only_float32_view_of_the_open_window():
     volume = opened(CONFIG)
     first = volume.array
