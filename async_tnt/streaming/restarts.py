@@ -144,7 +144,7 @@ def _users_level() -> int:
     """
     level = 1
     frame = sys._getframe(level)
-    while frame.f_back is not None and frame.f_globals["__name__"].startswith(PACKAGE):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(PACKAGE):
         frame = frame.f_back
         level += 1
     return level
