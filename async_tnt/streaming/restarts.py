@@ -9,6 +9,7 @@ of them is older than the newest event before it by a window, or by BEHIND_US if
 
 from __future__ import annotations
 
+import sys
 import warnings
 from typing import Literal, get_args
 
@@ -23,6 +24,9 @@ ENOUGH = 32
 """Events behind in a row that show a restart."""
 BEHIND_US = 100_000
 """Microseconds that an event is older than the newest one, if it is behind."""
+
+PACKAGE = f"{__name__.partition('.')[0]}."
+"""How the names of this package's modules begin."""
 
 
 class RestartWatch:
@@ -130,8 +134,21 @@ class RestartWatch:
         if self.on_restart == "raise":
             raise ValueError(text)
         self._has_warned = True
-        warnings.warn(text, stacklevel=6)
+        warnings.warn(text, stacklevel=_users_level())
         return None
+
+
+def _users_level() -> int:
+    """The `stacklevel` of a warning in the calling function that names the user's line.
+
+    `push` may be called by the user, or by a stream of this package.
+    """
+    level = 1
+    frame = sys._getframe(level)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(PACKAGE):
+        frame = frame.f_back
+        level += 1
+    return level
 
 
 def part_of(columns: Columns, first: int, last: int, *, copy: bool = False) -> Columns:

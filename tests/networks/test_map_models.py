@@ -324,6 +324,29 @@ def test_an_object_is_known_for_as_long_as_a_window_and_no_longer(late_us):
     assert ids(1010 + late_us, 3) == [late_us]
 
 
+class OneObject:
+    """A classifier that always shows one object, and says what its maps look like."""
+
+    logits_shape = 2, 10, 10
+
+    def __call__(self, volume):
+        shown = np.zeros(self.logits_shape, np.float32)
+        shown[0, 5, 5] = 3
+        return shown
+
+
+def test_no_number_is_given_again_by_another_classifier():
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40))
+    processor = Processor(config, classifier=OneObject(), classes=["a"], every_events=1)
+    ids = []
+    for t in (0, 1, 2):
+        (decision,) = processor.push(([t], [5], [5], [1]))
+        ids += [found.id for found in decision.objects]
+        if t == 1:
+            processor.classifier = OneObject()
+    assert ids == [0, 0, 1]
+
+
 WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsigned")
 
 

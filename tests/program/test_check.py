@@ -9,11 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from made import random_events, random_model
+from made import events_of, random_events, random_model
 from tnt_reference import LayerNetwork
 from torch import nn
 
-from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model
+from async_tnt import (
+    EVENT_DTYPE,
+    CompiledClassifier,
+    Model,
+    Processor,
+    TNTConfig,
+    TNTVolume,
+    load_model,
+)
 from async_tnt.checking.equality import Comparison, check_recording
 from async_tnt.networks.torch.from_torch import layers_from_torch
 from async_tnt.networks.torch.operations import HeatmapCentroid
@@ -128,6 +136,39 @@ def finds_no_end_of_long_streams(monkeypatch):
     monkeypatch.setattr(Processor, "finish", lambda self: [] if longest[-1] > 110 else finish(self))
 
 
+def decides(processor):
+    """Whether a stream decides by a network, and does not only look at volumes."""
+    return isinstance(processor.classifier, CompiledClassifier)
+
+
+def loses_the_same_events_of_packets_of_any_size(monkeypatch):
+    """Those of the second row."""
+    push = Processor.push
+
+    def lossy(self, events):
+        if decides(self):
+            return push(self, events)
+        rows = np.array([events], EVENT_DTYPE) if isinstance(events, tuple) else events
+        return push(self, rows[rows["y"] != 1])
+
+    monkeypatch.setattr(Processor, "push", lossy)
+
+
+def finds_a_window_too_many(monkeypatch):
+    """An empty one behind the last."""
+    finish = Processor.finish
+
+    def lavish(self):
+        decisions = finish(self)
+        if decides(self):
+            return decisions
+        last = decisions[-1]
+        self.classifier(np.zeros(self.config.shape, np.float32))
+        return [*decisions, replace(last, window_start_us=last.window_start_us + 10**6)]
+
+    monkeypatch.setattr(Processor, "finish", lavish)
+
+
 def opens_windows_a_microsecond_late(monkeypatch):
     init = Processor.__init__
 
@@ -145,9 +186,10 @@ def reads_volumes_that_are_too_large(monkeypatch):
 
 
 def finds_other_landmarks(monkeypatch):
+    """Their rows are right."""
     landmark = TNTVolume.landmark.fget
     monkeypatch.setattr(
-        TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-8)))
+        TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), (1e-8, 0))))
     )
 
 
@@ -173,6 +215,8 @@ def decides_otherwise_than_the_reference(monkeypatch):
 BROKEN = {  # what is broken -> the promise that no longer holds
     loses_events_of_long_packets: "volumes that depend on packets",
     finds_no_end_of_long_streams: "volumes that depend on packets",
+    loses_the_same_events_of_packets_of_any_size: "windows against reference",
+    finds_a_window_too_many: "windows against reference",
     opens_windows_a_microsecond_late: "windows against reference",
     reads_volumes_that_are_too_large: "volume against reference, of the largest cell",
     finds_other_landmarks: "landmark against reference, px",
@@ -240,6 +284,20 @@ def test_windows_of_events_hold_too(window_us):
     for landmark in ("running", "regressor"):
         model = random_model(config.replace(landmark=landmark))
         comparisons = check_recording(events, model, prefixes=5)
+        assert [c for c in comparisons if not c.holds] == []
+
+
+def test_large_logits_are_compared_by_their_size_and_empty_volumes_are_equal():
+    """Float32 has seven digits. Opposite events cancel each other."""
+    model = random_model(TNTConfig(landmark="running", t_max=2.0), widths=(3, 4, 5))
+    loud = {**model.weights, "fc2.weight": model.weights["fc2.weight"] * np.float32(1e8)}
+    opposite = events_of([900, 900], [9, 9], [9, 9], [1, 0])
+    for weights, events in (
+        (loud, random_events(60, duration_us=90_000)),
+        (model.weights, opposite),
+    ):
+        model = replace(model, weights=weights)
+        comparisons = check_recording(events, model, prefixes=1, start_us=0)
         assert [c for c in comparisons if not c.holds] == []
 
 

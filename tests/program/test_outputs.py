@@ -12,7 +12,15 @@ import pytest
 from full_disk import TOO_LARGE, full_after
 from made import random_events, random_model
 
-from async_tnt.base.files import Replacement, locked_folder, write_text
+from async_tnt.base.files import (
+    Replacement,
+    check_folder,
+    check_writable,
+    locked_folder,
+    naming,
+    open_locked,
+    write_text,
+)
 from async_tnt.cli import main
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
@@ -167,6 +175,74 @@ def test_what_a_kill_has_left_is_written_afresh_and_not_into(folder):
     write_text(folder / "new", "new")
     assert (folder / "linked").read_text() == "left" and (folder / "new").read_text() == "new"
     assert sorted(os.listdir(folder)) == ["linked", "new", "precious"]
+
+
+def test_text_is_written_in_utf_8_and_a_suffix_may_be_in_upper_case(folder):
+    path = check_writable(folder / "a.JSON", (".txt", ".json"))
+    write_text(path, "μs → 5")
+    assert path.read_bytes().decode("utf-8") == "μs → 5"
+    with pytest.raises(ValueError, match=r"a\.svg: its name must end in \.txt, \.json$"):
+        check_writable(folder / "a.svg", (".txt", ".json"))
+
+
+@pytest.mark.parametrize("locked", ["", "precious"])
+def test_without_permission_nothing_is_begun(locked, folder, monkeypatch):
+    """Neither in a folder nor in place of a file that must not be written; root may write both."""
+    access = os.access
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: path != folder / locked and access(path, mode)
+    )
+    with pytest.raises(PermissionError, match="precious cannot be written: no permission"):
+        check_writable(folder / "precious")
+    for path in (folder, folder / "new" / "newer"):
+        if locked:
+            check_folder(path)
+            continue
+        with pytest.raises(PermissionError, match=f"{path.name} cannot be written: no permission"):
+            check_folder(path)
+
+
+def test_a_folder_below_a_file_is_refused_and_below_new_folders_it_is_not(folder):
+    check_folder(folder / "a" / "b" / "c")
+    check_folder(folder, ["precious", "new"])
+    for path in (folder / "precious", folder / "precious" / "b" / "c"):
+        with pytest.raises(NotADirectoryError, match=r"precious is not a folder; expected a fold"):
+            check_folder(path)
+    (folder / "new").mkdir()
+    with pytest.raises(FileExistsError, match="new is not a regular file"):
+        check_folder(folder, ["precious", "new"])
+    assert sorted(os.listdir(folder)) == ["new", "precious"]
+
+
+def test_an_error_gets_the_name_of_a_file_only_if_it_has_none(folder):
+    for raised, named in ((OSError(28, "full"), "mine"), (OSError(28, "full", "theirs"), "theirs")):
+        with pytest.raises(OSError, match="full") as caught, naming(folder / "mine"):
+            raise raised
+        assert os.path.basename(caught.value.filename) == named and caught.value.errno == 28
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_file_that_is_deleted_or_replaced_while_it_is_being_locked_counts_as_busy(
+    replaced, folder, monkeypatch
+):
+    import fcntl
+
+    path = folder / "lock"
+    flock = fcntl.flock
+
+    def lock_late(*given):
+        path.unlink()
+        if replaced:
+            path.write_text("of another process")
+        flock(*given)
+
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    with pytest.raises(BlockingIOError, match="at work"):
+        open_locked(path, "at work")
+    monkeypatch.setattr(fcntl, "flock", flock)
+    path.write_text("content")
+    with open_locked(path, "at work") as file:
+        assert file.read() == b"content"
 
 
 def test_a_locked_folder_is_held_once_and_stays_only_with_files_in_it(folder):

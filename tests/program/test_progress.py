@@ -1,12 +1,13 @@
 """The progress bar: on a terminal only, and nothing is left of it."""
 
 import io
+import os
 from types import SimpleNamespace
 
 import pytest
 
 from async_tnt.base import progress as module
-from async_tnt.base.progress import Bar, progress
+from async_tnt.base.progress import Bar, describe, progress
 
 
 class Terminal(io.StringIO):
@@ -47,14 +48,62 @@ def test_nothing_is_left_on_the_line_after_an_error(clock, monkeypatch):
 
 def test_it_is_silent_elsewhere_and_survives_a_lost_terminal(clock, monkeypatch):
     clock.seconds = -10.0
-    for stderr in (io.StringIO(), None):
+    with open(os.devnull, "w") as closed:
+        pass
+    for stderr in (io.StringIO(), None, closed):
         monkeypatch.setattr("sys.stderr", stderr)
         with progress(1, "checking") as bar:
             bar.update()
-        assert stderr is None or stderr.getvalue() == ""
+        assert stderr in (None, closed) or stderr.getvalue() == ""
     lost = Terminal()
     with Bar(2, "checking", lost) as bar:
         for clock.seconds in (0.0, 1.0):
             bar.update()
             lost.close()
     assert bar.done == 2
+
+
+def test_it_appears_after_a_second_and_changes_ten_times_a_second(clock):
+    terminal = Terminal()
+    bar = Bar(9, "checking", terminal)
+    drawn = []
+    for clock.seconds in (0.99, 1.0, 1.09, 1.11, 1.2, 1.22):
+        bar.update()
+        drawn.append(terminal.getvalue().count("\r"))
+    assert drawn == [0, 1, 1, 2, 2, 3]
+    assert screen(terminal.getvalue()).startswith("checking  67 %")
+    bar.clear()
+    cleared = terminal.getvalue()
+    bar.clear()
+    assert terminal.getvalue() == cleared and screen(cleared) == ""
+
+
+def test_what_was_done_before_counts_for_the_share_and_not_for_the_rate(clock):
+    terminal = Terminal()
+    bar = Bar(100, "on", terminal, done=60)
+    clock.seconds = 5.0
+    bar.update(10)
+    assert screen(terminal.getvalue()) == "on  70 % [##############......] 70/100, 2.0/s, 0:15 left"
+
+
+def test_the_line_is_one_shorter_than_the_terminal_is_wide(clock):
+    terminal = Terminal()
+    bar = Bar(100, "x" * 50, terminal)
+    clock.seconds = 5.0
+    bar.update()
+    assert screen(terminal.getvalue()) == "x" * 50 + "   1 % [."
+
+
+@pytest.mark.parametrize(
+    ("done", "total", "seconds", "expected"),
+    [
+        (1, 61, 61.0, "2 % [....................] 1/61, 61.0 s each, 1:01:00 left"),
+        (1, 60, 61.0, "2 % [....................] 1/60, 61.0 s each, 59:59 left"),
+        (5, 4, 1.0, "100 % [####################] 5/4, 5.0/s, 0:00 left"),
+        (10, 20, 1.0, "50 % [##########..........] 10/20, 10/s, 0:01 left"),
+        (99, 198, 10.0, "50 % [##########..........] 99/198, 9.9/s, 0:10 left"),
+        (19, 20, 20.0, "95 % [###################.] 19/20, 1.1 s each, 0:01 left"),
+    ],
+)
+def test_a_line_by_hand(done, total, seconds, expected):
+    assert describe("x", done, total, done, seconds).removeprefix("x").lstrip() == expected

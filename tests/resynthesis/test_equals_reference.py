@@ -133,3 +133,17 @@ def test_pictures_move_as_the_reference_moves_an_image():
         move_periodic(frames, finer(image, factor), places, 0, 0.0, factor)
         errors.append(np.abs(frames[0] - expected).max())
     assert errors[0] < 0.25 and errors[1] < 0.003
+
+
+@pytest.mark.parametrize("shift", [0.5, -3.5, 12.5])
+def test_half_a_place_beyond_its_last_row_and_column_a_picture_begins_again(shift):
+    """Its light is 10 row + column, of 3 rows and 4 columns. Shifts that differ by multiples of
+    both look alike."""
+    image = np.add.outer([0.0, 10.0, 20.0], [0.0, 1.0, 2.0, 3.0])
+    down = shift if shift > 0 else shift + 12 - 8
+    frames = np.empty((1, 4, 5))
+    move_periodic(frames, image, np.array([[[1, 0, shift], [0, 1, down]]]), 0, 0.0, 1.0)
+    # between two neighbours, or the last place and the first
+    columns = [0.5, 1.5, 2.5, 1.5, 0.5]
+    rows = [5.0, 15.0, 10.0, 5.0]
+    assert frames[0].tolist() == np.add.outer(rows, columns).tolist()

@@ -210,6 +210,15 @@ def test_a_level_that_is_just_reached(way, n_classes, probability):
             assert summary(push(processor)) == ([("confidence", 0, 0, 1)] if closes else [])
 
 
+def test_fire_leaves_the_window_open_however_sure_it_is(classifier):
+    processor = Processor(CONFIG, classifier=classifier, confidence=0.9, every_us=500)
+    processor.push(at(0, 1, 2, 3))
+    decision = processor.fire()
+    assert summary([decision]) == [("fire", 0, 3, 4)]
+    assert decision.probability > 0.9 and not decision.complete
+    assert summary(processor.push(at(600))) == [("confidence", 0, 3, 4)]
+
+
 def test_a_trigger_that_is_changed_in_midstream_looks_ahead(classifier):
     processor = Processor(CONFIG, classifier=classifier)
     processor.push(at(0, 450))

@@ -28,11 +28,29 @@ def test_decision_carries_logits_probabilities_and_label():
     assert decision.logits.dtype == np.float32
 
 
+def test_a_decision_as_plain_values_has_six_decimals():
+    processor = Processor(
+        CONFIG, classifier=lambda volume: [0.0, np.log(2.0)], classes=["cat", "dog"], start_us=2
+    )
+    processor.push(at([5, 9]))
+    assert list(processor.fire().to_dict().items()) == [
+        ("time_us", 9),
+        ("window_start_us", 2),
+        ("label", "dog"),
+        ("probability", 0.666667),
+        ("probabilities", [0.333333, 0.666667]),
+        ("events", 2),
+        ("complete", False),
+        ("trigger", "fire"),
+    ]
+
+
 @pytest.mark.parametrize(
     ("answer", "classes", "message"),
     [
         ([float("nan"), 1.0], None, "finite logits, got"),
         (None, None, "finite logits, got"),
+        ([], None, "logits, got none"),
         ([0.0], ["a", "b"], "2 logits, one for each class, got 1"),
         (np.zeros((2, 5)), None, r"logits \(1, n_classes\), or a map .*, got shape \(2, 5\)"),
     ],
@@ -43,6 +61,28 @@ def test_answers_that_are_refused(answer, classes, message):
         processor.fire()
     processor.classifier = lambda volume: [0.0, 1.0]  # what was wrong says nothing of the classes
     assert len(processor.fire().probabilities) == 2
+
+
+def test_a_decision_keeps_the_answer_of_a_classifier_that_writes_each_one_into_one_array():
+    logits = np.zeros(2, np.float32)
+    shown = np.zeros((2, 9, 9), np.float32)
+
+    def classifier(volume):
+        logits[0] += 1
+        return logits
+
+    def finds(volume):
+        shown[0, 4, 4] += 1
+        return shown
+
+    processor = Processor(CONFIG, classifier=classifier)
+    decisions = [processor.fire(), processor.fire()]
+    assert [decision.logits.tolist() for decision in decisions] == [[1, 0], [2, 0]]
+    processor = Processor(CONFIG, classifier=finds, classes=["a"])
+    decisions = [processor.fire(), processor.fire()]
+    for n, decision in enumerate(decisions, 1):
+        probability = 1 / (1 + np.exp(-n))
+        assert decision.probabilities[0] == pytest.approx([probability, 1 - probability])
 
 
 def test_a_time_that_is_impossible_changes_nothing():
@@ -69,6 +109,10 @@ def test_a_time_that_is_impossible_changes_nothing():
         ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
         ({"hop_us": 5, "model": BY_3}, "`hop_us` must not be given with window_events=3, got 5"),
         ({"start_us": 5, "model": BY_3}, "`start_us` must not be given with window_events=3"),
+        (
+            {"classifier": CompiledClassifier(random_model(CONFIG)), "classes": ["a", "b"]},
+            "`classifier` must return 2 logits, one for each class, got 10",
+        ),
         ({"classifier": None}, "`classifier` is missing: a TNTConfig alone cannot decide"),
         ({"model": 3}, "`model` must be a Model, the name or path of one, or a TNTConfig, got int"),
     ],
@@ -78,9 +122,31 @@ def test_bad_settings(settings, message):
         Processor(**({"model": CONFIG, "classifier": total_and_size} | settings))
 
 
+def test_as_many_windows_may_be_open_as_the_message_says():
+    small = CONFIG.replace(sensor=(2, 2), grid=(2, 2), bins=1, window_us=1024)
+    processor = Processor(small, classifier=total_and_size, hop_us=4)
+    assert processor.push(([0, 1023], [1, 1], [1, 1], [1, 1])) == []
+    assert len(processor.finish()) == 256
+    with pytest.raises(ValueError, match=r"at least window_us / 256 = 4, got 3: 342 windows"):
+        Processor(small, classifier=total_and_size, hop_us=3)
+
+
+def test_the_repr_of_a_stream_counts_its_open_windows_and_events():
+    processor = Processor(CONFIG, classifier=total_and_size, hop_us=250)
+    assert repr(processor) == f"Processor({CONFIG}, 0 open windows, 0 events received)"
+    processor.push(at([0, 10, 600]))
+    assert repr(processor) == f"Processor({CONFIG}, 3 open windows, 3 events received)"
+    volume = TNTVolume(CONFIG)
+    volume.update(at([70, 80]))
+    assert repr(volume) == f"TNTVolume({CONFIG}, 2 events from 70 us on)"
+
+
 OTHER_SHAPE = CompiledClassifier(random_model(CONFIG.replace(bins=3)))
 CHANGEABLE = [
     ("every_us", 0, ValueError, "`every_us` must be at least 1, got 0"),
+    ("every_us", 2**62, ValueError, f"`every_us` must be below 2**62, got {2**62}"),
+    ("every_events", 2**62, ValueError, f"`every_events` must be below 2**62, got {2**62}"),
+    ("confidence", 0, ValueError, "`confidence` must be a probability in (0, 1], got 0"),
     ("every_us", True, TypeError, "`every_us` must be a whole number, got True"),
     ("every_events", 1.0, TypeError, "`every_events` must be a whole number, got 1.0"),
     ("confidence", 1.01, ValueError, "`confidence` must be a probability in (0, 1], got 1.01"),

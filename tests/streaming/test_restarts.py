@@ -17,6 +17,9 @@ WARNING = (
 )
 
 
+LONG = CONFIG.replace(window_us=200_000)
+
+
 def recorded(digit):
     return open_recording(sample_recordings()[digit]).read()
 
@@ -42,6 +45,9 @@ WAYS = {
         tuple(np.ascontiguousarray(part[f]) for f in "txyp") for part in packets_of(events, 500)
     ],
 }
+WAYS["lists"] = lambda events: [
+    tuple(column.tolist() for column in columns) for columns in WAYS["columns"](events)
+]
 SETTINGS = [{}, {"every_events": 700}, {"late": "drop"}, {"hop_us": 50_000}, {"confidence": 0.9}]
 
 
@@ -74,7 +80,7 @@ def test_by_default_one_warning_names_how_much_and_both_cures(way):
     source = itertools.chain(WAYS[way](SEVEN), WAYS[way](ONE), WAYS[way](ONE))
     with pytest.warns(UserWarning, match=WARNING) as caught:
         list(stream(source, "digits"))
-    assert len(caught) == 1
+    assert len(caught) == 1 and caught[0].filename == __file__
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -108,10 +114,12 @@ def test_astream_and_push_warn_too():
         row for events in (SEVEN, ONE) for row in decided(stream([events], "digits"))
     ]
     processor = Processor(load_model("digits"))
-    processor.push(SEVEN)
-    with pytest.warns(UserWarning, match=WARNING):
-        processor.push(ONE)
-    processor.reset()
+    for push in (processor.push, lambda events: [processor.push_one(*e) for e in events.tolist()]):
+        push(SEVEN)
+        with pytest.warns(UserWarning, match=WARNING) as caught:
+            push(ONE)
+        assert len(caught) == 1 and caught[0].filename == __file__
+        processor.reset()
     processor.push(SEVEN)
     with pytest.warns(UserWarning, match=WARNING):  # another stream
         processor.push(ONE)
@@ -131,8 +139,7 @@ def test_astream_and_push_warn_too():
 @pytest.mark.parametrize("late", ["accept", "drop"])
 def test_a_restart_by_hand(times, is_restart, way, late):
     """32 events in a row that are 0.1 s older than the newest: windows last longer."""
-    config = CONFIG.replace(window_us=200_000)
-    processor = Processor(config, classifier=total_and_size, on_restart="raise", late=late)
+    processor = Processor(LONG, classifier=total_and_size, on_restart="raise", late=late)
     processor.push(events_of([0, 250_000], [1, 1], [1, 1], [1, 1]))
     n = len(times)
     events = events_of(times, [1] * n, [1] * n, [1] * n)
@@ -145,6 +152,44 @@ def test_a_restart_by_hand(times, is_restart, way, late):
     else:
         for packet in packets:
             processor.push(packet)
+
+
+@pytest.mark.parametrize("size", [1, 7, 41])
+def test_a_restart_is_told_from_the_newest_time_to_the_first_one_behind(size):
+    """Wherever packets are cut: the first event behind may be in an earlier packet, and the newest
+    one in the same packet."""
+    times = [0, 250_000, 260_000, *range(1_000, 1_040)]
+    n = len(times)
+    events = events_of(times, [1] * n, [1] * n, [1] * n)
+    processor = Processor(LONG, classifier=total_and_size, on_restart="raise")
+    processor.push(events[:2])
+    message = r"^times went back by 0\.259 s, from 260000 to 1000 us: "
+    with pytest.raises(ValueError, match=message):
+        for packet in singles(events[2:]) if size == 1 else packets_of(events[2:], size):
+            processor.push(packet)
+
+
+@pytest.mark.parametrize(
+    ("packets", "n_new"),
+    [
+        # a new stream begins at the end of a packet, and goes on in the next one
+        ([[250_001] + [0] * 10, [0] * 30], 40),
+        # an event of the old clock ends the rows before it
+        ([[0] * 3 + [250_001] + [0] * 10, [0] * 30], 40),
+        ([[0] * 5, [0] * 3 + [250_001] + [0] * 40], 40),
+        ([[0] * 20, [250_001], [0] * 20, [0] * 20], 40),
+        # no restart: all events are of one stream
+        ([[0] * 20, [250_001], [0] * 20], 2 + 41),
+    ],
+)
+@pytest.mark.parametrize("late", ["accept", "drop"])
+def test_a_new_stream_begins_with_the_first_event_of_its_row(packets, n_new, late):
+    processor = Processor(LONG, classifier=total_and_size, on_restart="reset", late=late)
+    processor.push(events_of([0, 250_000], [1, 1], [1, 1], [1, 1]))
+    for times in packets:
+        n = len(times)
+        processor.push(events_of(times, [1] * n, [1] * n, [1] * n))
+    assert processor.counts.received == n_new
 
 
 def test_windows_shorter_than_the_limit_are_the_limit():

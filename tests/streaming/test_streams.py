@@ -1,6 +1,8 @@
 """stream and astream: a source of events in, decisions out."""
 
 import asyncio
+import warnings
+from pathlib import Path
 from typing import get_type_hints
 
 import numpy as np
@@ -45,16 +47,18 @@ def test_any_source_gives_the_same_decisions(source, expected):
 
 
 def test_a_source_of_the_other_kind_is_refused_at_the_call():
-    with pytest.raises(
-        TypeError, match="`source` must be an iterable of packets or of events, got int"
-    ):
-        stream(5, MODEL)
+    for use, model in ((stream, MODEL), (volumes, MODEL.config)):
+        with pytest.raises(
+            TypeError, match="`source` must be an iterable of packets or of events, got int"
+        ):
+            use(5, model)
+        for path in ("five.bin", Path("five.bin")):
+            with pytest.raises(
+                TypeError, match=r"`source` must yield events, got the path five\.bin; open_record"
+            ):
+                use(path, model)
     with pytest.raises(TypeError, match=r"`source` must be asynchronous, got list; `stream` takes"):
         astream([], MODEL)
-    with pytest.raises(
-        TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"
-    ):
-        stream("five.bin", MODEL)
     with pytest.raises(FileNotFoundError, match="no model file digitz"):
         stream([EVENTS], "digitz")
 
@@ -103,6 +107,24 @@ def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
     assert len(warned) == 1 and warned[0].filename == __file__
 
 
+@pytest.mark.parametrize("n_small", [16, 17])
+@pytest.mark.parametrize("n_events", [2, 3])
+def test_small_windows_are_more_than_half_of_the_first_32_with_two_events_or_fewer(
+    n_small, n_events
+):
+    """However many of the later ones are small."""
+    sizes = [n_events] * n_small + [9] * (32 - n_small) + [1] * 40
+    times = [1000 * k + i for k, size in enumerate(sizes) for i in range(size)]
+    events = EVENTS[np.arange(len(times)) % len(EVENTS)]
+    events["t"] = times
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        list(stream([events], MODEL.config, classifier=lambda volume: [0.0], start_us=0))
+    assert [str(one.message)[:34] for one in warned] == (
+        ["17 of the first 32 windows hold 2 e"[:34]] if n_small > 16 and n_events == 2 else []
+    )
+
+
 def test_other_small_windows_are_no_reason_to_warn():  # warnings are errors in these tests
     # so many are wanted
     assert list(stream([SPARSE], random_model(MODEL.config.replace(window_events=2))))
@@ -125,13 +147,19 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
             one.volume, opened(config, inside, decision.window_start_us).array
         )
     with pytest.raises(
-        TypeError, match=r"`classifier`, `classes` and `confidence` are for decisions"
-    ):
-        volumes([EVENTS], config, confidence=0.9)
-    with pytest.raises(
         TypeError, match="`config` must be a TNTConfig, got 'digits'; a model has one as `config`"
     ):
         volumes([EVENTS], "digits")
+
+
+@pytest.mark.parametrize(
+    "settings", [{"classifier": len}, {"classes": ["a"]}, {"confidence": 0.9}], ids=str
+)
+def test_volumes_take_no_setting_that_decides(settings):
+    with pytest.raises(
+        TypeError, match=r"^`classifier`, `classes` and `confidence` are for decisi"
+    ):
+        volumes([EVENTS], TNTConfig(), **settings)
 
 
 @pytest.mark.parametrize("form", ["packets", "tuples", "columns"])

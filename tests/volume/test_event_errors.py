@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from made import random_model, thesis_model
 
 from async_tnt import EVENT_DTYPE, Processor, TNTConfig, TNTVolume
@@ -89,7 +90,9 @@ OUT_OF_RANGE = [
     ("x", "<u2", [346]),
     ("x", "<i4", [346, -1, 65536 + 3]),  # 3 in 16 bits
     ("y", "<i2", [260, -1]),
-    ("p", "u1", [2]),
+    ("p", "u1", [2, 255]),
+    ("p", "<u2", [2, 256, 65535]),
+    ("p", "<i2", [2, 256, -2, -255]),
     ("p", "<u8", [2, 2**64 - 1]),  # 2**64 - 1 is not -1
 ]
 
@@ -140,6 +143,7 @@ NOT_WHOLE = [
         TypeError,
         f"`x` must be whole numbers, got <U99 ({'a' * 40} at event 0)",
     ),
+    ("x", [True] * 5, TypeError, "`x` must be whole numbers, got bool (True at event 0)"),
     ("y", [None] * 5, TypeError, "`y` must be whole numbers, got object (NoneType at event 0)"),
     ("x", [0, 1, 2, np.inf, 4], ValueError, "`x` must be a whole number, got inf at event 3"),
     (
@@ -167,6 +171,9 @@ class Broken:
 
 ENDLESS = SimpleNamespace()
 ENDLESS.polarity_events = ENDLESS
+ENDLESS_TENSOR = SimpleNamespace()
+ENDLESS_TENSOR.numpy = lambda: ENDLESS_TENSOR
+WITH_GRADIENT = torch.zeros(3, requires_grad=True)
 
 NO_EVENTS = (
     "events must be a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict "
@@ -179,6 +186,10 @@ FOUR = "a tuple of events must hold four columns (t, x, y, p), got "
 EQUAL = "t, x, y and p must have equal lengths, got "
 MISSING = "events need a field `{}` (one of {}), got {}"
 TWICE = "events need one field `{}`, got {} in {}; leave out all but one"
+SINGLES = (
+    "a list of single events ({} at event 0) is not a packet: pass it to `stream`, event by "
+    "event, or push four columns (t, x, y, p)"
+)
 Timeless = namedtuple("Timeless", "x y p when")
 WRONG_FORMS = [
     (np.zeros((5, 4)), TypeError, NO_EVENTS + f"a plain array of shape (5, 4){ORDER}"),
@@ -195,6 +206,13 @@ WRONG_FORMS = [
     ),
     ("t,x,y,p", TypeError, NO_EVENTS + "str"),
     (ENDLESS, TypeError, NO_EVENTS + "SimpleNamespace"),
+    (ENDLESS_TENSOR, TypeError, NO_EVENTS + "SimpleNamespace"),
+    (
+        WITH_GRADIENT,
+        TypeError,
+        "Tensor.numpy() failed: Can't call numpy() on Tensor that requires grad. "
+        "Use tensor.detach().numpy() instead.",
+    ),
     ((T, X, Y), ValueError, FOUR + "3"),
     (
         Timeless(X, Y, P, T),
@@ -213,14 +231,11 @@ WRONG_FORMS = [
     ),
     ((T, X[:4], Y, P), ValueError, EQUAL + "5, 4, 5, 5"),
     (np.zeros((2, 3), EVENT_DTYPE), ValueError, "`t` must have one dimension, got shape (2, 3)"),
+    (np.zeros((0, 3), EVENT_DTYPE), ValueError, "`t` must have one dimension, got shape (0, 3)"),
     ((T, Broken(), Y, P), ValueError, "`x` must be a column of whole numbers: 'no such chunk'"),
-    (
-        list(np.zeros(4, EVENT_DTYPE)),
-        TypeError,
-        "a list of single events (void at event 0) is not a packet: pass it to `stream`, event by "
-        "event, or push "
-        "four columns (t, x, y, p)",
-    ),
+    (list(np.zeros(4, EVENT_DTYPE)), TypeError, SINGLES.format("void")),
+    ([dict(t=1, x=2, y=3, p=1)] * 4, TypeError, SINGLES.format("dict")),
+    *[([(5, 1, 2, 0)] * n, TypeError, SINGLES.format("tuple")) for n in (1, 3, 5)],
 ]
 
 
@@ -233,14 +248,21 @@ def test_events_of_a_wrong_form(events, error, message):
 
 ONE = [
     ((2**64, 0, 0, 1), ValueError, f"`t` must fit in int64, got {2**64} at event 0"),
+    ((2**62, 0, 0, 1), ValueError, f"{RULES['t']}, got {2**62} at event 0"),
+    ((-1, 0, 0, 1), ValueError, f"{RULES['t']}, got -1 at event 0"),
     ((5, 346, 0, 1), ValueError, f"{RULES['x']}, got 346 at event 0{LARGER_CAMERA}"),
+    ((5, -1, 0, 1), ValueError, f"{RULES['x']}, got -1 at event 0"),
+    ((5, 0, 260, 1), ValueError, f"{RULES['y']}, got 260 at event 0{LARGER_CAMERA}"),
+    ((5, 0, -1, 1), ValueError, f"{RULES['y']}, got -1 at event 0"),
     ((5, 0, 0, 2), ValueError, f"{RULES['p']}, got 2 at event 0"),
+    ((5, 0, 0, -2), ValueError, f"{RULES['p']}, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
 ]
 
 
 @pytest.mark.parametrize(("event", "error", "message"), ONE)
 def test_single_events(event, error, message):
+    """Before the first event and after it; the open window stays open."""
     volume = TNTVolume(CONFIG)
     processor = Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2)))
     for take in (
@@ -248,10 +270,11 @@ def test_single_events(event, error, message):
         volume.update_one,
         processor.push_one,
     ):
-        with pytest.raises(error, match=f"^{re.escape(message)}$"):
-            take(*event)
-        take(14, 4, 4, 1)
-    assert volume.n_events == processor.counts.received == 1
+        for _ in range(2):
+            with pytest.raises(error, match=f"^{re.escape(message)}$"):
+                take(*event)
+            take(14, 4, 4, 1)
+    assert volume.n_events == processor.counts.received == processor.fire().events == 2
 
 
 # -- masked arrays ---------------------------------------------------------------------------------

@@ -107,6 +107,15 @@ def test_records_of_every_layout(layout):
     assert_decoded(SimpleNamespace(polarity_events=SimpleNamespace(numpy=lambda: events)))
 
 
+def test_fields_that_are_renamed_in_place_are_found_by_their_new_names():
+    columns = [[5, 6], [1, 2], [3, 4], [1, 0]]
+    events = records(EVENT_DTYPE.descr, columns)
+    decoder = EventDecoder(SENSOR)
+    assert decoded(decoder, events) == columns
+    events.dtype.names = ("t", "y", "x", "p")
+    assert decoded(decoder, events) == [columns[k] for k in (0, 2, 1, 3)]
+
+
 @pytest.mark.parametrize("stored", STORED.values(), ids=STORED)
 def test_any_memory(stored):
     for layout in ("ours", "big-endian"):

@@ -10,7 +10,7 @@ import pytest
 
 from async_tnt import TNTConfig
 from async_tnt.base.checks import ParameterError
-from async_tnt.volume.config import LANDMARKS, POLARITIES
+from async_tnt.volume.config import LANDMARKS, POLARITIES, REPRESENTATIONS
 
 CELLS = (
     "`grid` and `bins` must give at most 268_435_456 cells, got {:_} "
@@ -30,6 +30,7 @@ WRONG = [
         for name, v in (
             ("bins", 9.0),
             ("bins", True),
+            ("window_us", False),
             ("bins", np.array([9, 9])),
             ("window_events", 9.0),
         )
@@ -63,6 +64,7 @@ WRONG = [
             (1e6 + 1, 1e6 + 1),
             (math.nan, math.nan),
             (10**400, math.inf),
+            (-(10**400), -math.inf),
         )
     ],
     (
@@ -71,6 +73,15 @@ WRONG = [
         f"`landmark` must be one of {', '.join(LANDMARKS)}, got 'CENTER'",
     ),
     ({"polarity": 0}, ValueError, f"`polarity` must be one of {', '.join(POLARITIES)}, got 0"),
+    *[
+        (
+            {"representation": v},
+            ValueError,
+            f"`representation` must be one of {', '.join(REPRESENTATIONS)}, got {v!r}",
+        )
+        for v in ("histogram", None)
+    ],
+    ({"transform": "TNT"}, ValueError, "`transform` must be one of tnt, none, got 'TNT'"),
     ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
     *[
         (
@@ -139,6 +150,7 @@ def test_a_configuration_is_a_value_of_pythons_own_numbers(number):
     assert made == same == made.replace() != made.replace(bins=5) and hash(made) == hash(same)
     assert {type(value) for value in (*made.sensor, *made.grid, made.bins)} == {int}
     assert type(made.t_max) is float
+    assert TNTConfig(landmark="line", remove_flow=np.True_).remove_flow is True
     with pytest.raises(FrozenInstanceError):
         made.bins = 5
     with pytest.raises(TypeError, match="nonsense"):

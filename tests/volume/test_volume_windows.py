@@ -9,6 +9,7 @@ from deciding import total_and_size
 from made import events_of, opened, random_events, random_model
 
 from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
+from async_tnt.volume.config import LANDMARKS
 
 CONFIG = TNTConfig(window_us=1000, landmark="center", t_max=1.0)
 OF_REGRESSOR = CONFIG.replace(landmark="regressor")
@@ -44,6 +45,22 @@ def test_a_window_without_events_is_not_closed_but_left(update, landmark):
     assert update(volume, events_of([10_000], [3], [3], [1])) == 0
 
 
+@pytest.mark.parametrize("landmark", ["center", "window"])
+def test_after_a_close_the_next_event_opens_a_window_and_the_counts_go_on(landmark):
+    volume = opened(CONFIG.replace(landmark=landmark), events_of([500], [16], [16], [1]))
+    assert volume.is_open and volume.array.any()
+    volume.close()
+    assert not volume.is_open and not volume.array.any()
+    assert (volume.n_events, volume.newest_us) == (0, -1)
+    # no multiple of the window after the first start, and no window that is closed by it
+    assert volume.update_one(1234, 16, 16, 1) == 0
+    assert (volume.start_us, volume.newest_us, volume.n_events) == (1234, 1234, 1)
+    volume.update_one(1233, 16, 16, 1)
+    counts = volume.counts
+    assert (counts.received, counts.kept) == (3, 1)
+    assert (counts.dropped_tau_zero, counts.dropped_late) == (1, 1)
+
+
 def test_array_is_a_read_only_float32_view_of_the_open_window():
     volume = opened(CONFIG)
     first = volume.array
@@ -55,6 +72,23 @@ def test_array_is_a_read_only_float32_view_of_the_open_window():
             array[0, 0, 0] = 1
     volume.open(1000)
     assert not volume.array.any()
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_before_the_first_event_and_without_the_transform_the_landmark_is_the_grids_centre(
+    landmark,
+):
+    """A landmark network is not even needed then."""
+    config = CONFIG.replace(landmark=landmark, sensor=(50, 20), grid=(9, 6))
+    regressor = (lambda raw: (1.0, 2.0)) if landmark == "regressor" else None
+    transformed = opened(config, regressor=regressor)
+    plain = opened(config.replace(transform="none"))
+    for volume, moves in ((transformed, landmark != "center"), (plain, False)):
+        assert volume.landmark == (4.0, 2.5)
+        volume.update_one(10, 7, 3, 1)
+        assert (volume.landmark != (4.0, 2.5)) == moves
+        volume.open(1000)
+        assert volume.landmark == (4.0, 2.5)
 
 
 def test_what_is_refused():
@@ -93,6 +127,24 @@ def test_a_clock_that_stands_still_is_not_stored_without_end(monkeypatch):
     ):
         volume.update(packet)
     assert (volume.array.tobytes(), volume.counts) == before
+    volume.update(packet[:2_000])
+    assert volume.n_events == 5_000
+
+
+@pytest.mark.parametrize(
+    "settings", [{"landmark": "window"}, {"window_events": 9_000, "window_us": 3_000}], ids=str
+)
+def test_events_of_later_windows_and_windows_of_events_are_stored_beyond_that(
+    settings, monkeypatch
+):
+    monkeypatch.setattr("async_tnt.volume.replay.MAX_STORED", 5_000)
+    volume = TNTVolume(CONFIG.replace(**settings))
+    events = random_events(9_000, seed=10, duration_us=3_000)
+    events["t"][0] = 0
+    volume.update(events)
+    counts = volume.counts
+    assert counts.received == 9_000 and counts.kept > 0
+    assert volume.n_events == (events["t"] >= volume.start_us).sum()
 
 
 # -- a regressor that is missing, out of place, fails, or returns what cannot be a landmark --------
@@ -127,6 +179,33 @@ def test_regressor_and_landmark_go_together(config, regressor, error, message):
         ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'
     ):
         CompiledRegressor(random_model())
+
+
+READS = [lambda v: v.array, lambda v: v.landmark, lambda v: v.counts, lambda v: v.open(5000)]
+
+
+@pytest.mark.parametrize("first", READS)
+def test_a_regressor_is_asked_once_after_new_events_whatever_is_read_and_how_often(first):
+    """It gets a volume that it cannot change."""
+    asked = []
+
+    def regressor(raw):
+        asked.append(raw.sum())
+        with pytest.raises(ValueError, match="read-only"):
+            raw[0, 0, 0] = 1
+        return 16.0, 15.0
+
+    volume = opened(OF_REGRESSOR, regressor=regressor)
+    for read in (*READS, lambda v: v.open(0)):
+        read(volume)
+    assert asked == []  # no events
+    for n in (1, 2):
+        volume.update_one(500, 16, 16, 1)
+        for read in (first, *READS[:3], *READS[:3]):
+            read(volume)
+        assert len(asked) == n and asked[-1] > 0
+        volume.open(0)
+    assert len(asked) == 2
 
 
 @pytest.mark.parametrize(
