@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt import Decision, Processor, load_model
-from async_tnt.base.checks import needs_extra
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import check_writable, replacing
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import OFF, ON

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import needs_extra
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import check_folder, write_text
 from async_tnt.base.package import available_cores
 from async_tnt.cli.options import command_words, positive_int, whole_number

@@ -1,26 +1,18 @@
-"""Checks that everything shares, and text for their messages.
-
-Arguments (whole numbers become Python's int, masked arrays are refused), JSON that comes from
-outside, installed extras, and calls that must not overlap.
-"""
+"""Errors that carry the name of a parameter, and checks of arguments that raise them."""
 
 from __future__ import annotations
 
-import functools
-import json
 import math
 import operator
 import re
-import reprlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from numbers import Real
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 
-Method = TypeVar("Method", bound=Callable[..., Any])
+from async_tnt.base.messages import short
 
 
 class ParameterError(Exception):
@@ -158,175 +150,3 @@ def refuse_mask(name: str, values: Any, advice: str) -> None:
     if masked_array is not None and isinstance(values, masked_array):
         rule = f"must not be a masked array, whose mask would be ignored; pass {advice}"
         raise ParameterTypeError(name, rule)
-
-
-def one_line(error: Exception | str, limit: int = 300) -> str:
-    """Text from a library or a file for a message: on one line, cut after `limit` characters."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= limit else text[:limit] + " ..."
-
-
-_short = reprlib.Repr()
-_short.maxstring = 120
-_short.maxother = 120
-
-
-def short(value: Any) -> str:
-    """The `repr` of a value for a message: on one line, a long one without its middle."""
-    plain = value.item() if isinstance(value, np.generic) else value
-    return " ".join(_short.repr(plain).split())
-
-
-def printable(text: str) -> str:
-    """The text on one line, unprintable characters escaped.
-
-    Examples
-    --------
-    >>> print(printable("a\\nb: no events"))
-    a\\nb: no events
-    """
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
-MAX_JSON_DEPTH = 100
-"""Most lists and objects within each other. Python's own reader and writer of JSON end in a
-RecursionError at some thousand."""
-
-
-def parse_json(text: str | bytes) -> Any:
-    """The value of a JSON text that comes from outside.
-
-    Raises
-    ------
-    ValueError : the text is not JSON; it is nested deeper than `MAX_JSON_DEPTH`; a whole number has
-        thousands of digits; or an object has a name twice (Python would silently use the last
-        value). The message is one line.
-
-    Examples
-    --------
-    >>> parse_json('{"bins": 9}')
-    {'bins': 9}
-    """
-    try:
-        value = json.loads(text, object_pairs_hook=_json_object)
-    except RecursionError:
-        raise ValueError(_TOO_DEEP) from None
-    except _JsonError:
-        raise
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"it is not JSON: {one_line(error)}") from None
-    except ValueError:  # Python's limit of digits
-        raise ValueError(
-            "it has a whole number of thousands of digits; expected numbers of float64 or int64"
-        ) from None
-    _check_depth(value)
-    return value
-
-
-_TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
-
-
-class _JsonError(ValueError):
-    """A fault that `_json_object` has found, in our words."""
-
-
-def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object as a dict; no name may occur twice."""
-    values: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in values:
-            raise _JsonError(f"it names {short(name)} twice in one object")
-        values[name] = value
-    return values
-
-
-def _check_depth(value: Any) -> None:
-    """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
-    level = [value]
-    for _ in range(MAX_JSON_DEPTH):
-        deeper: list[Any] = []
-        for one in level:
-            if type(one) is dict:
-                deeper += one.values()
-            elif type(one) is list:
-                deeper += one
-        level = [one for one in deeper if type(one) in (dict, list)]
-        if not level:
-            return
-    raise ValueError(_TOO_DEEP)
-
-
-@contextmanager
-def needs_extra(extra: str, what: str) -> Iterator[None]:
-    """Turn a failing import within the block into an ImportError of one line.
-
-    The line says `what` needs the package, and how the `extra` is installed.
-    """
-    try:
-        yield
-    except ImportError as error:
-        raise ImportError(f"{what}: pip install 'async_tnt[{extra}]' ({error})") from None
-
-
-# -- calls that must not overlap -------------------------------------------------------------------
-# Compiled code runs without the GIL and does not check bounds: two calls that change the same
-# memory would corrupt it.
-
-
-class Running:
-    """Whether a call is running on an object. Errors call the object `name`.
-
-    A copy of it says that no call is running, and so does what is loaded from a pickle.
-
-    With the GIL, test and assignment are one step: CPython switches threads and handles signals
-    only at calls, at the start of functions and where loops jump back. So this is as safe as a
-    lock, and Ctrl-C does not leave it set. Without the GIL, two calls that begin within some
-    nanoseconds of each other can both pass.
-    """
-
-    __slots__ = ("name", "now")
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.now = False
-
-    def __reduce__(self) -> Any:
-        return Running, (self.name,)
-
-    def begin(self) -> None:
-        """Note that a call begins; a RuntimeError if another one is running.
-
-        The caller continues with `try`, and sets `now = False` in its `finally`.
-        """
-        if self.now:
-            raise self.overlap()
-        self.now = True
-
-    def overlap(self) -> RuntimeError:
-        """The error of the second call."""
-        return RuntimeError(
-            f"a {self.name} was called while another call on it is running, in another thread or "
-            f"further up in this one; use one {self.name} per thread, or hold one lock around "
-            "every call"
-        )
-
-
-def one_at_a_time(method: Method) -> Method:
-    """Refuse a call of this method while another decorated call runs on the same object.
-
-    The object has a `Running` as its attribute `_running`. The decorator costs 0.2 us: methods that
-    take about a microsecond write these lines themselves.
-    """
-
-    @functools.wraps(method)
-    def alone(self: Any, *args: Any, **kwargs: Any) -> Any:
-        running = self._running
-        running.begin()
-        try:
-            return method(self, *args, **kwargs)
-        finally:
-            running.now = False
-
-    return cast(Method, alone)

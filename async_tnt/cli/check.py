@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from async_tnt.base.checks import needs_extra
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.progress import progress
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.cli.options import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
-from async_tnt.base.checks import one_line
 from async_tnt.base.files import check_writable, replacing, user_path
+from async_tnt.base.messages import one_line
 from async_tnt.cli.options import MODELS, model_of
 from async_tnt.cli.output import say
 from async_tnt.networks.layers.conversion_check import compare

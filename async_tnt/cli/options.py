@@ -10,8 +10,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import short
 from async_tnt.base.files import user_path
+from async_tnt.base.messages import short
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings

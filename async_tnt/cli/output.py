@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from async_tnt.base.checks import ParameterError, printable
+from async_tnt.base.checks import ParameterError
+from async_tnt.base.messages import printable
 from async_tnt.streaming.decision import Decision
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
-from async_tnt.base.checks import printable
+from async_tnt.base.messages import printable
 
 OPTION_LIKENESS = 0.7
 """How alike a mistyped option and the one that was meant must be, from 0 to 1, see `difflib`."""

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import short
 from async_tnt.base.files import check_folder, user_path, write_text
+from async_tnt.base.messages import short
 from async_tnt.base.package import __version__
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import can_print, complain, say

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.base.checks import needs_extra
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress

@@ -7,8 +7,8 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from async_tnt.base.checks import printable
 from async_tnt.base.files import check_writable, user_path
+from async_tnt.base.messages import printable
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import (
     add_files,

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import one_line, parse_json, short
 from async_tnt.base.files import open_regular, read_regular, refuse_git_lfs
+from async_tnt.base.json_text import parse_json
+from async_tnt.base.messages import one_line, short
 from async_tnt.sources.files.labelled_recordings import check_once, is_recording
 from async_tnt.sources.files.numpy_files import map_npy
 

@@ -10,7 +10,8 @@ from concurrent.futures import CancelledError
 from multiprocessing import connection
 from typing import Any, TypeVar
 
-from async_tnt.base.checks import needs_extra, one_line
+from async_tnt.base.extras import needs_extra
+from async_tnt.base.messages import one_line
 from async_tnt.base.progress import Bar
 from async_tnt.base.worker import Worker, WorkerEnded
 

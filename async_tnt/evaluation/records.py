@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import short
+from async_tnt.base.messages import short
 from async_tnt.base.package import __version__
 from async_tnt.evaluation.early import FIELDS as EARLY
 from async_tnt.evaluation.early import LEVELS, early_fields, every_us, moments

@@ -15,8 +15,9 @@ import os
 from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from pathlib import Path
 
-from async_tnt.base.checks import one_line, parse_json, short
 from async_tnt.base.files import check_writable, naming, open_locked, replacing
+from async_tnt.base.json_text import parse_json
+from async_tnt.base.messages import one_line, short
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.job import Job, Task
 from async_tnt.evaluation.records import FIELDS, Record, lost

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import ParameterValueError, one_line, parse_json, short
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.files import read_regular, user_path
+from async_tnt.base.json_text import parse_json
+from async_tnt.base.messages import one_line, short
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.onnx.network import OnnxClassifier

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError
 
-from async_tnt.base.checks import one_line
 from async_tnt.base.files import refuse_git_lfs, user_path
+from async_tnt.base.messages import one_line
 from async_tnt.networks.models.model import FORMAT, Model
 from async_tnt.networks.models.model_file import (
     checksum_of,

@@ -17,8 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.base.checks import needs_extra, one_line
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import open_regular, refuse_git_lfs
+from async_tnt.base.messages import one_line
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")

@@ -15,7 +15,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import ParameterTypeError, short
+from async_tnt.base.checks import ParameterTypeError
+from async_tnt.base.messages import short
 from async_tnt.base.package import available_cores
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.kernels.network.forward import forward

@@ -17,7 +17,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from async_tnt.base.checks import Method, ParameterValueError, Running, one_at_a_time, short
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.messages import short
+from async_tnt.base.running import Method, Running, one_at_a_time
 from async_tnt.kernels.decisions.trigger import NOT_DUE, ONLY_IF_SURE, until_due, why_due
 from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US

@@ -15,7 +15,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, short
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.messages import short
 from async_tnt.volume.events import Columns
 
 OnRestart = Literal["warn", "reset", "raise"]

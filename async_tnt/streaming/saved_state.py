@@ -9,7 +9,7 @@ import io
 import pickle
 from typing import Any
 
-from async_tnt.base.checks import one_line
+from async_tnt.base.messages import one_line
 
 
 def named_networks(classifier: Any, regressor: Any) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterTypeError, short
+from async_tnt.base.checks import ParameterTypeError
+from async_tnt.base.messages import short
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision

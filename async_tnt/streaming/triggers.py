@@ -12,13 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import (
-    ParameterValueError,
-    ParameterWarning,
-    positive_int,
-    real_number,
-    short,
-)
+from async_tnt.base.checks import ParameterValueError, ParameterWarning, positive_int, real_number
+from async_tnt.base.messages import short
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.volume.config import TNTConfig

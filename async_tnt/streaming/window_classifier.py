@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterTypeError, ParameterValueError, one_line, short
+from async_tnt.base.checks import ParameterTypeError, ParameterValueError
+from async_tnt.base.messages import one_line, short
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.decisions.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
 from async_tnt.kernels.decisions.objects import N_KNOWN, NEXT_NUMBER

@@ -14,7 +14,8 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
-from async_tnt.base.checks import ParameterValueError, checked_time, positive_int, short
+from async_tnt.base.checks import ParameterValueError, checked_time, positive_int
+from async_tnt.base.messages import short
 from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts

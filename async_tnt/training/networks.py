@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from async_tnt.base.checks import one_line
+from async_tnt.base.messages import one_line
 from async_tnt.networks.torch.operations import HeatmapCentroid
 
 LARGE = 64

@@ -23,7 +23,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from async_tnt.base.checks import ParameterValueError, one_line
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.messages import one_line
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, VOLUME
 from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.models.model import Model

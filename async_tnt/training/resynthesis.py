@@ -23,15 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import (
-    ParameterValueError,
-    one_line,
-    parse_json,
-    real_number,
-    short,
-    whole_number,
-)
+from async_tnt.base.checks import ParameterValueError, real_number, whole_number
 from async_tnt.base.files import read_regular, write_text
+from async_tnt.base.json_text import parse_json
+from async_tnt.base.messages import one_line, short
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
 from async_tnt.resynthesis.calibration import Calibration, calibrate

@@ -28,8 +28,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import one_line, parse_json
 from async_tnt.base.files import read_regular, replacing, write_text
+from async_tnt.base.json_text import parse_json
+from async_tnt.base.messages import one_line
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
 from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels

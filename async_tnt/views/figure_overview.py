@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import printable
+from async_tnt.base.messages import printable
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision, class_of_recording
 from async_tnt.streaming.processor import Processor

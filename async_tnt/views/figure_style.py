@@ -7,8 +7,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.base.checks import needs_extra, printable
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import check_writable, replacing
+from async_tnt.base.messages import printable
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap

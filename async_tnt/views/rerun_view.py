@@ -14,7 +14,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, needs_extra, positive_int
+from async_tnt.base.checks import ParameterValueError, positive_int
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import Replacement, check_writable, user_path
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision

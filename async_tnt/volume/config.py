@@ -13,9 +13,9 @@ from async_tnt.base.checks import (
     ParameterValueError,
     is_whole,
     real_number,
-    short,
     whole_number,
 )
+from async_tnt.base.messages import short
 
 Landmark = Literal["center", "running", "line", "window", "regressor"]
 Polarity = Literal["signed", "unsigned", "split"]

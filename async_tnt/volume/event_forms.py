@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, one_line, refuse_mask, short
+from async_tnt.base.checks import ParameterValueError, refuse_mask
+from async_tnt.base.messages import one_line, short
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),

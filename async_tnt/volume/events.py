@@ -13,7 +13,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numba import NumbaError
 
-from async_tnt.base.checks import ParameterValueError, short
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.messages import short
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.volume.records import (
     BAD,

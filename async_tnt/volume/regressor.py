@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterTypeError, ParameterValueError, short
+from async_tnt.base.checks import ParameterTypeError, ParameterValueError
+from async_tnt.base.messages import short
 from async_tnt.volume.config import TNTConfig
 
 Regressor = Callable[[np.ndarray], Any]

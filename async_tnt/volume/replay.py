@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from async_tnt.base.checks import Running, one_at_a_time
+from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import absorb, store_events
 from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume

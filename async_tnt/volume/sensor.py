@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from async_tnt.base.checks import ParameterValueError, is_whole, short
+from async_tnt.base.checks import ParameterValueError, is_whole
+from async_tnt.base.messages import short
 from async_tnt.volume.config import MAX_SIDE
 
 Sensor = tuple[int, int]

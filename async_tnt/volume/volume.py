@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import Running, checked_time, one_at_a_time
+from async_tnt.base.checks import checked_time
+from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import LATE, REFUSED, absorb, absorb_one
 from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import short
 from async_tnt.base.files import locked_folder
+from async_tnt.base.messages import short
 from async_tnt.base.package import __version__, available_cores
 from async_tnt.base.progress import progress
 from async_tnt.evaluation.processes import run_counted

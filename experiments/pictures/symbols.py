@@ -7,7 +7,7 @@ import string
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import needs_extra
+from async_tnt.base.extras import needs_extra
 from experiments.digit_data.mnist import load_mnist
 
 PIPS = {"cl": "♣", "di": "♦", "he": "♥", "sp": "♠"}

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
-from async_tnt.base.checks import printable
 from async_tnt.base.files import check_writable, write_text
+from async_tnt.base.messages import printable
 from async_tnt.cli.options import positive_int
 from async_tnt.views.figure_style import check_picture, save, styled
 from experiments.speed.interleaved import WorkDiffers

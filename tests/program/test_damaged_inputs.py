@@ -15,7 +15,7 @@ from networks.foreign import network, onnx
 from networks.small import SMALL, changed, small_model, write_file
 
 from async_tnt import CompiledClassifier, Model, Processor, load_model
-from async_tnt.base.checks import MAX_JSON_DEPTH, parse_json
+from async_tnt.base.json_text import MAX_JSON_DEPTH, parse_json
 from async_tnt.cli.evaluate import lines_of, report_of
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.object_tables import read_table

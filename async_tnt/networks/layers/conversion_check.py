@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from async_tnt.base.checks import one_line
+from async_tnt.base.messages import one_line
 
 TOLERANCE = 1e-4
 """The largest difference that is accepted, as a share of the largest number."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from async_tnt.base.checks import short
+from async_tnt.base.messages import short
 from async_tnt.networks.layers.layer import MAX_SIDE, Layer, Shape
 from async_tnt.networks.layers.operation import Operation
 from async_tnt.networks.layers.operations import OPERATIONS

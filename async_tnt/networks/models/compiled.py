@@ -11,7 +11,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, Running, one_at_a_time
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.decisions.classify import absorb_and_decide, classify_cells
 from async_tnt.kernels.decisions.objects import locate_cells, score_map
 from async_tnt.kernels.network.heatmap import centroid

@@ -12,13 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import (
-    ParameterTypeError,
-    ParameterValueError,
-    plain_array,
-    short,
-)
+from async_tnt.base.checks import ParameterTypeError, ParameterValueError, plain_array
 from async_tnt.base.files import replacing, user_path
+from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.layers.layer import Shape
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes

@@ -12,7 +12,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from async_tnt.base.checks import one_line, parse_json
+from async_tnt.base.json_text import parse_json
+from async_tnt.base.messages import one_line
 from async_tnt.volume.config import TNTConfig
 
 ALIGNMENT = 8

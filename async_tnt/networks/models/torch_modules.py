@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterTypeError, needs_extra, positive_int
+from async_tnt.base.checks import ParameterTypeError, positive_int
+from async_tnt.base.extras import needs_extra
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import LOGITS, Places, logits_shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from async_tnt.base.checks import needs_extra
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.package import __version__
 from async_tnt.networks.layers.graph import CLASSIFIER, VOLUME, layer_shapes, tensors_of
 from async_tnt.networks.models.model import Model

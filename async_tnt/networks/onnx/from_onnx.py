@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import needs_extra, one_line
+from async_tnt.base.extras import needs_extra
+from async_tnt.base.messages import one_line
 from async_tnt.networks.layers.conversion_check import TOLERANCE, compare
 from async_tnt.networks.layers.graph import CLASSIFIER, layer_shapes, tensors_of
 from async_tnt.networks.models.compiled import CompiledClassifier

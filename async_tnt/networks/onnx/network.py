@@ -12,16 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import async_tnt.volume.config as limits
-from async_tnt.base.checks import (
-    ParameterTypeError,
-    ParameterValueError,
-    Running,
-    needs_extra,
-    one_at_a_time,
-    one_line,
-    positive_int,
-)
+from async_tnt.base.checks import ParameterTypeError, ParameterValueError, positive_int
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import refuse_git_lfs, user_path
+from async_tnt.base.messages import one_line
+from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.networks.models.objects import LOGITS, Places, logits_shape, places_of
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.volume.config import TNTConfig

@@ -14,7 +14,8 @@ import torch
 from tnt_reference import LayerNetwork
 from torch import fx, nn
 
-from async_tnt.base.checks import ParameterTypeError, one_line
+from async_tnt.base.checks import ParameterTypeError
+from async_tnt.base.messages import one_line
 from async_tnt.networks.layers.conversion_check import Function, compare
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.torch.form import TorchForm

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 
-from async_tnt.base.checks import one_line
 from async_tnt.base.files import open_regular, read_regular, refuse_git_lfs, user_path
+from async_tnt.base.messages import one_line
 from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"

@@ -26,8 +26,8 @@ from typing import IO, Literal
 
 import numpy as np
 
-from async_tnt.base.checks import one_line, short
 from async_tnt.base.files import open_regular, refuse_git_lfs, user_path
+from async_tnt.base.messages import one_line, short
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,

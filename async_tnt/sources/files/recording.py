@@ -18,8 +18,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, is_whole, positive_int, short
+from async_tnt.base.checks import ParameterValueError, is_whole, positive_int
 from async_tnt.base.files import refuse_git_lfs, user_path
+from async_tnt.base.messages import short
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, short
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.messages import short
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.sources.files.off_sensor import WIDE_DTYPE
 from async_tnt.volume.event_forms import Four, check_order

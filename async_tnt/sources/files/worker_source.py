@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import one_line
+from async_tnt.base.messages import one_line
 from async_tnt.base.worker import Worker
 from async_tnt.sources.files import library_readers
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks

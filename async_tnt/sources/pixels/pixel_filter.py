@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.base.checks import ParameterValueError, Running, is_whole, one_at_a_time, short
+from async_tnt.base.checks import ParameterValueError, is_whole
+from async_tnt.base.messages import short
+from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.sources.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.volume.records import COLUMN_TYPES

@@ -1,0 +1,75 @@
+"""JSON from outside: read without surprises, refused in one line."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from async_tnt.base.messages import one_line, short
+
+MAX_JSON_DEPTH = 100
+"""Most lists and objects within each other. Python's own reader and writer of JSON end in a
+RecursionError at some thousand."""
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text that comes from outside.
+
+    Raises
+    ------
+    ValueError : the text is not JSON; it is nested deeper than `MAX_JSON_DEPTH`; a whole number has
+        thousands of digits; or an object has a name twice (Python would silently use the last
+        value). The message is one line.
+
+    Examples
+    --------
+    >>> parse_json('{"bins": 9}')
+    {'bins': 9}
+    """
+    try:
+        value = json.loads(text, object_pairs_hook=_json_object)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except _JsonError:
+        raise
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"it is not JSON: {one_line(error)}") from None
+    except ValueError:  # Python's limit of digits
+        raise ValueError(
+            "it has a whole number of thousands of digits; expected numbers of float64 or int64"
+        ) from None
+    _check_depth(value)
+    return value
+
+
+_TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
+
+
+class _JsonError(ValueError):
+    """A fault that `_json_object` has found, in our words."""
+
+
+def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object as a dict; no name may occur twice."""
+    values: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in values:
+            raise _JsonError(f"it names {short(name)} twice in one object")
+        values[name] = value
+    return values
+
+
+def _check_depth(value: Any) -> None:
+    """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
+    level = [value]
+    for _ in range(MAX_JSON_DEPTH):
+        deeper: list[Any] = []
+        for one in level:
+            if type(one) is dict:
+                deeper += one.values()
+            elif type(one) is list:
+                deeper += one
+        level = [one for one in deeper if type(one) in (dict, list)]
+        if not level:
+            return
+    raise ValueError(_TOO_DEEP)
