@@ -32,8 +32,8 @@ DESCRIPTION = """\
 Measure on this machine, warm and on one thread:
 
   - how long an event takes on its way into the volume,
-  - how long a decision takes, 1, 100 and 1,300 events after the one before,
-  - how many decisions a second follow from one after every event.
+  - how long a decision takes, 1, 100 and 1,300 events after the previous decision,
+  - how many decisions a second are possible, with one after every event.
 
 The events are those of the bundled recordings. They are spread over the model's sensor,
 if that is another one. On a quiet machine the quartiles are close together.

@@ -24,9 +24,9 @@ def add_keep_up(parser: argparse.ArgumentParser) -> None:
         "--keep-up",
         type=positive_int,
         metavar="MS",
-        help="camera or network: where decisions are slower than events, decide less often "
-        "(--every-us, --every-events), then skip and count packets, so that only the newest packet "
-        "may be more than MS milliseconds old",
+        help="camera or network: if decisions are slower than events, decide less often "
+        "(--every-us, --every-events), then skip and count packets; only the newest packet may be "
+        "more than MS milliseconds old",
     )
 
 

@@ -81,9 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_reading(parser)
     volume = parser.add_argument_group("the volume, if other than the model's")
-    add_volume(
-        volume, "the model's; volume and count are drawn, and without the transform in any case"
-    )
+    add_volume(volume, "the model's; only volume and count can be drawn, always also untransformed")
     volume.add_argument(
         "--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds"
     )

@@ -33,7 +33,7 @@ from async_tnt.volume.events import EVENT_DTYPE, as_events
 from async_tnt.volume.sensor import format_size
 
 DESCRIPTION = """\
-Record a camera or a network stream, a file of its class at a time, to train on.
+Record a camera or a network stream into the folder of a class, to train on.
 
   async-tnt record camera --class wave --seconds 20 --out gestures
   async-tnt record camera --class clap --seconds 20 --out gestures
@@ -42,8 +42,8 @@ Record a camera or a network stream, a file of its class at a time, to train on.
   async-tnt train gestures --out gestures.safetensors
 
 Each run writes a new file, gestures/wave/DATE_TIME.dat, in Prophesee's DAT format, which faery and
-Metavision read, too; what is there is never replaced. Times count from its first event. Beside it,
-DATE_TIME.json says what recorded it, with a camera's settings. The format's times end after 71.6
+Metavision read, too. No file is replaced. Times count from the file's first event. Beside the file,
+DATE_TIME.json says what recorded it, with a camera's settings. Times in DAT files end after 71.6
 minutes: then, and after 35.8 minutes without an event, the recording goes on in a new file.
 
 After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last events are
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_class_name,
         metavar="NAME",
         required=True,
-        help="what is shown: a folder of --out",
+        help="what the camera sees: the class, a folder in --out",
     )
     parser.add_argument(
         "--out", type=_folder, metavar="FOLDER", required=True, help="the data set; made if missing"
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, metavar="S", help="how long to record (default: until Ctrl-C)"
     )
     parser.add_argument(
-        "--sensor", type=size_of, metavar="WxH", help="the sender's pixels, of a network stream"
+        "--sensor", type=size_of, metavar="WxH", help="the pixels of a network stream's camera"
     )
 
 

@@ -55,8 +55,8 @@ mean probability over its closed windows.
   async-tnt run a.npz --model net.onnx --config net.json
                                              any other ONNX network, compiled if it can be
 
-An .onnx file differs in the last digits of the probabilities and in latency, not in windows or
-counted events.
+With an .onnx file the last digits of the probabilities and the latency differ, but not the windows
+or the counted events.
 """
 REMOVED = {
     "--late": "late events are used; in Python, Processor(model, late=...) drops or refuses them",
@@ -75,9 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--latency",
         action="store_true",
-        help="print also the microseconds from the call with an event to its decision; recordings "
-        "are then pushed event by event, which takes ten times as long, a camera or the network "
-        "packet by packet",
+        help="print also the microseconds from the call with an event to its decision. Recordings "
+        "are then pushed event by event, which takes ten times as long; events of a camera or the "
+        "network are pushed packet by packet",
     )
     parser.add_argument(
         "--json", action="store_true", help="one JSON object a line for each decision"

@@ -22,8 +22,8 @@ USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
 DESCRIPTION = """\
 Train a classifier on recordings of your own classes, and tell how good it is
 on recordings that were held out. DATASET has one folder for each class, of
-recordings from any camera and in any format that `async-tnt run` reads, of
-pictures, which are recorded by simulated cameras in many motions, or of both:
+recordings from any camera and in any format that `async-tnt run` reads, or of
+pictures, which simulated cameras record in many motions, or of both:
 
   async-tnt train gestures --out gestures.safetensors   # gestures/wave/*.npz ...
   async-tnt train pictures --sensor 640x480             # pictures/cup/*.jpg ...
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=size_of,
         metavar="WxH",
-        help="the camera's, where recordings do not state it",
+        help="the camera's pixels, if the recordings do not state them",
     )
     add_reading(parser, single=False)
     parser.add_argument(
@@ -82,7 +82,7 @@ def _add_held_out(group: argparse._ActionsContainer) -> None:
         type=_share,
         default=0.2,
         metavar="SHARE",
-        help="share of each class's recordings (default: 0.2)",
+        help="held-out share of each class's recordings (default: 0.2)",
     )
     group.add_argument(
         "--groups",
@@ -153,15 +153,15 @@ def _add_network(group: argparse._ActionsContainer) -> None:
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="number of epochs (default: 20, or as many as make 4000 steps; fewer where all that "
-        "is held out stays right and its loss falls no more)",
+        help="number of epochs (default: 20, or as many as make 4000 steps; fewer if all "
+        "held-out windows stay right and their loss falls no more)",
     )
     group.add_argument(
         "--seed",
         type=whole_number,
         default=0,
         metavar="N",
-        help="of weights, order and held-out groups (default: 0)",
+        help="seed of weights, order and held-out groups (default: 0)",
     )
 
 
