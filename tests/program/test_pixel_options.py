@@ -137,6 +137,11 @@ def test_a_map_model_reads_a_camera_of_any_size_that_is_known(sets, tmp_path, pr
     assert (
         "a sensor of 100x80 pixels, but the model is for 34x34; give --sensor 100x80\n" in message
     )
+    hot = sets / "hot" / "3" / "a.npz"
+    code, printed, message = program(*words, tmp_path / "gone.npy", hot)
+    first, second = message.splitlines()  # each is told, though the first gives no size
+    assert (code, printed) == (2, "") and "gone.npy: No such file" in first
+    assert second.endswith("; give --sensor 34x34")
     mask = ("--mask", sets / "large.npy")
     assert program(*words, large, *REGION, *mask)[0] == 0  # the region counts more than the mask
     np.save(tmp_path / "a.npy", open_recording(large).read())

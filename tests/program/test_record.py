@@ -407,7 +407,7 @@ def test_where_the_disk_has_no_room_for_an_event_no_file_is_left(
         ),
         *(
             (
-                f"udp://127.0.0.1:PORT --class x --sensor 9x9 --seconds {seconds}",
+                f"udp://127.0.0.1:PORT?timeout_s=.1 --class x --sensor 9x9 --seconds {seconds}",
                 f"--seconds must be a positive number, got {seconds}",
             )
             for seconds in ("inf", "nan", "1e+30")
@@ -524,7 +524,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def pictures(monkeypatch):
-    """A function of (columns, lines) that gives a terminal, a picture of a 10 x 10 sensor on it,
+    """A function of (columns, lines) that gives a terminal, a picture of a 10 x 20 sensor on it,
     and its clock, in seconds, as a list of one number."""
 
     def arrange(columns, lines, terminal=None):
@@ -534,7 +534,7 @@ def pictures(monkeypatch):
         monkeypatch.setenv("COLUMNS", str(columns))
         monkeypatch.setenv("LINES", str(lines))
         monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-        return terminal, record._Picture((10, 10), "wave"), now_s
+        return terminal, record._Picture((10, 20), "wave"), now_s
 
     return arrange
 
@@ -546,18 +546,18 @@ def at_pixels(*pixels):
 
 
 def test_a_picture_shows_the_events_since_the_one_before_by_hand(pictures):
-    """A character is a pixel wide and two high."""
+    """A character is a pixel wide and four high, of which its upper and its lower half have two."""
     terminal, picture, now_s = pictures(columns=11, lines=7)
     now_s[0] += 0.05
-    picture.show(at_pixels((2, 3)))  # too early to draw
+    picture.show(at_pixels((2, 6)))  # too early to draw
     assert terminal.getvalue() == ""
     now_s[0] += 0.45
-    picture.show(at_pixels((9, 4), (0, 8), (0, 9)))
+    picture.show(at_pixels((9, 8), (0, 16), (0, 19)))
     first = ["", "  ▄", "         ▀", "", "█"]
-    now_s[0] += 2
-    picture.show(at_pixels((5, 0)))
+    now_s[0] += 1
+    picture.show(at_pixels((5, 1)))
     second = ["     ▀", "", "", "", ""]
-    captions = "wave: 0.5 s, 40 events a second", "wave: 2.5 s, 2 events a second"
+    captions = "wave: 0.5 s, 40 events a second", "wave: 1.5 s, 5 events a second"
     expected = ""
     for lines, caption in zip((first, second), captions, strict=True):
         up = "\x1b[6A" if expected else ""

@@ -34,6 +34,10 @@ class PanicException(BaseException):
     """What libraries in Rust raise."""
 
 
+UNPLUGGED = RuntimeError("Usb(NoDevice)")
+"""What the library raises where the cable is pulled."""
+
+
 def made_events(*times):
     events = np.zeros(len(times), RECORD)
     events["t"] = times
@@ -293,7 +297,7 @@ def test_a_time_may_lie_a_second_ahead_by_the_cameras_clock_and_by_ours(monkeypa
     clock = SimpleNamespace(monotonic_ns=lambda: 1_000 * now_us[0])
     monkeypatch.setattr(cameras, "time", clock)
     _, camera = opened(
-        made_events(5, 1_000_005, 2_000_006), made_events(12_000_005, 13_000_006), made_events(7)
+        made_events(5, 1_000_005, 2_000_006), made_events(12_000_005, 13_000_006), UNPLUGGED
     )
     packets = iter(camera)
     assert next(packets)["t"].tolist() == [5, 1_000_005]
@@ -303,7 +307,7 @@ def test_a_time_may_lie_a_second_ahead_by_the_cameras_clock_and_by_ours(monkeypa
 
 
 def test_a_camera_that_starts_again_goes_on_and_its_counts_say_so():
-    _, camera = opened(made_events(HOUR_US), *[made_events(k, 10 + k) for k in range(9)])
+    _, camera = opened(made_events(HOUR_US), *[made_events(k, 10 + k) for k in range(9)], UNPLUGGED)
     before = camera.counts
     times = [packet["t"].tolist() for packet in islice(camera, 3)]
     assert times == [[HOUR_US], [HOUR_US, HOUR_US + 10], [HOUR_US + 1, HOUR_US + 11]]
@@ -328,8 +332,6 @@ def test_events_off_the_sensor_are_left_out_and_counted_once():
 
 
 # -- async-tnt run camera --------------------------------------------------------------------------
-
-UNPLUGGED = RuntimeError("Usb(NoDevice)")
 
 
 @pytest.fixture

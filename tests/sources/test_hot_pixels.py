@@ -172,6 +172,13 @@ def test_several_recordings_count_as_one_and_share_the_sensor_that_one_states(tm
     np.testing.assert_array_equal(np.load(out), hot_pixels(counts))
 
 
+def test_an_error_names_its_recording_once(tmp_path, program):
+    path = with_hot_pixels(tmp_path / "a.npy", (34, 2, 50))
+    words = "mask", path, "--sensor", "34x34", "--strict", "--out", tmp_path / "mask.npy"
+    code, _, err = program(*words)
+    assert code == 2 and err.count(str(path)) == 1 and "off the 34 x 34 sensor" in err
+
+
 @pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])
 def test_at_most_ten_hot_pixels_are_listed(tmp_path, program, n, more):
     path = with_hot_pixels(tmp_path / "a.npy", *((3 * k, 2 + 2 * (k % 2), 900) for k in range(n)))
@@ -248,7 +255,7 @@ def test_a_sensor_may_have_so_many_pixels(tmp_path, program):
     np.savez(tmp_path / "a.npz", **columns, sensor=[32768, 32768])
     code, _, err = program("mask", tmp_path / "a.npz", "--out", tmp_path / "m.npy")
     assert code == 2 and err.count("\n") == 1
-    assert f"{tmp_path / 'a.npz'}: a sensor must have at most 16,777,216 pixels" in err
+    assert err.startswith(f"async-tnt: {tmp_path / 'a.npz'}: a sensor must have at most 16,777,216")
     assert "32768x32768" in err
     np.savez(tmp_path / "b.npz", **columns)
     code, _, err = program(

@@ -85,11 +85,17 @@ class Bag:
         number = [7] if self.is_ros_1 else []
         return self.types.types["std_msgs/msg/Header"](*number, stamp, frame)
 
+    def connect(self, topic, kind, **who):
+        """Begin a connection, by which the messages of this topic and type are sent from now on."""
+        self._connections[topic, kind] = self._writer.add_connection(
+            topic, kind, typestore=self.types, **who
+        )
+
     def send(self, topic, kind, *fields):
         """Write one message, of these fields in the order of its definition."""
         key = topic, kind
         if key not in self._connections:
-            self._connections[key] = self._writer.add_connection(topic, kind, typestore=self.types)
+            self.connect(topic, kind)
         message = self.types.types[kind](*fields)
         serialize = self.types.serialize_ros1 if self.is_ros_1 else self.types.serialize_cdr
         data = serialize(message, kind)

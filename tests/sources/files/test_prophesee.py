@@ -5,6 +5,7 @@ import pytest
 from sources.files.written import dat, evt2, evt3, evt21, evt_header, made_events
 
 from async_tnt.kernels.sources.evt import decode_evt2, decode_evt3, decode_evt21
+from async_tnt.sources.files import prophesee
 from async_tnt.sources.files.recording import open_recording
 
 MAKE = {"2.0": (evt2, "<u4", 28), "2.1": (evt21, "<u8", 60), "3.0": (evt3, "<u2", 12)}
@@ -47,7 +48,9 @@ def test_other_words_change_nothing(tmp_path, version):
         np.testing.assert_array_equal(got, EVENTS, err_msg=f"kind {kind}")
 
 
-def test_t0_is_added(tmp_path):
+@pytest.mark.parametrize("size", [100, 1 << 16])
+def test_t0_is_added_in_every_block(tmp_path, monkeypatch, size):
+    monkeypatch.setattr(prophesee, "BLOCK_EVENTS", size)
     for name, make in (("a.raw", evt3), ("a.dat", dat)):
         events = read(tmp_path / name, b"% t0 7000000\n" + make(EVENTS))
         np.testing.assert_array_equal(events["t"], EVENTS["t"] + 7_000_000)

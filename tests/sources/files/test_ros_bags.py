@@ -9,9 +9,10 @@ from made import events_of
 from sources.files.ros_written import EVENT_ARRAY, EVENT_PACKET, OTHER, Bag
 from sources.files.written import made_events, written
 
+from async_tnt.sources.files import ros_reader
 from async_tnt.sources.files.off_sensor import EventsOffSensor
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.files.source import DamagedRecording
+from async_tnt.sources.files.source import DamagedRecording, Topic
 
 SENSOR = (320, 240)
 EVENTS = made_events(40)
@@ -183,6 +184,32 @@ def test_the_only_topic_of_events_is_read_and_of_several_the_one_that_is_named(t
             open_recording(other, topic=wrong)
 
 
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
+def test_messages_of_other_types_under_the_name_of_the_topic_are_not_read(tmp_path, name):
+    with Bag(tmp_path / name) as bag:
+        bag.packet(WORDS[:3], SENSOR)
+        bag.send("/camera/events", OTHER, "hello")
+        bag.packet(WORDS[3:], SENSOR)
+    recording = open_recording(tmp_path / name, strict=True)
+    assert recording.read().tolist() == IN_TIME
+    assert recording.source.topics == (
+        Topic("/camera/events", EVENT_PACKET, 2, True),
+        Topic("/camera/events", OTHER, 1, False),
+    )
+
+
+def test_a_topic_that_two_programs_have_sent_is_one(tmp_path):
+    """A bag of ROS 1 has a connection for each of them."""
+    with Bag(tmp_path / "a.bag") as bag:
+        bag.packet(WORDS[:3], SENSOR)
+        bag.packet(WORDS[3:4], SENSOR)
+        bag.connect("/camera/events", EVENT_PACKET, callerid="/other")
+        bag.packet(WORDS[4:], SENSOR)
+    recording = open_recording(tmp_path / "a.bag", strict=True)
+    assert recording.read().tolist() == IN_TIME
+    assert recording.source.topics == (Topic("/camera/events", EVENT_PACKET, 3, True),)
+
+
 @every_bag
 def test_a_bag_without_events_is_refused_and_its_topics_are_listed(tmp_path, name):
     with Bag(tmp_path / name) as bag:
@@ -297,21 +324,30 @@ def test_any_path_will_do(tmp_path, name):
     assert open_recording(odd).read().tolist() == IN_TIME
 
 
-def test_a_message_of_another_definition_is_refused(tmp_path):
-    """Numbers in another order would be read as others; more bytes than fields show it."""
-    with Bag(tmp_path / "a.bag") as bag:
+@pytest.mark.parametrize(
+    ("name", "n_more", "is_refused"),
+    [("a.bag", 1, True), ("a.mcap", 3, False), ("a.mcap", 4, True)],
+)
+def test_a_message_of_another_definition_is_refused(tmp_path, name, n_more, is_refused):
+    """Numbers in another order would be read as others; more bytes than fields show it. CDR may end
+    with three bytes that say nothing."""
+    with Bag(tmp_path / name) as bag:
         fields = bag.header(), 240, 320, 0, 0, "evt3", False, np.zeros(0, np.uint8)
         message = bag.types.types[EVENT_PACKET](*fields)
+        serialize = bag.types.serialize_ros1 if bag.is_ros_1 else bag.types.serialize_cdr
         bag.packet(WORDS, SENSOR)
         (connection,) = bag._connections.values()
-        bag._writer.write(
-            connection, 10**18 * 2, bytes(bag.types.serialize_ros1(message, EVENT_PACKET)) + b"more"
-        )
+        data = bytes(serialize(message, EVENT_PACKET)) + bytes(n_more)
+        bag._writer.write(connection, 10**18 * 2, data)
+    recording = open_recording(tmp_path / name)
+    if not is_refused:
+        assert recording.read().tolist() == IN_TIME
+        return
     with pytest.warns(
         DamagedRecording,
-        match="message 1: it has 4 bytes more than its fields; its type has been changed",
+        match=f"message 1: it has {n_more} bytes more than its fields; its type has been changed",
     ):
-        assert open_recording(tmp_path / "a.bag").read().tolist() == IN_TIME
+        assert recording.read().tolist() == IN_TIME
 
 
 REAL = "test_events_1.bag", "test_events_1/test_events_1.db3", "test_events_2/test_events_2_0.mcap"
@@ -368,3 +404,29 @@ def test_made_words_are_decoded_as_their_description_says(tmp_path):
     words = np.frombuffer(b"".join(payloads_of(path)), "<u2")
     assert len(plainly_decoded(WORDS)) == 2 and events["t"][-1] > 1 << 24 and len(words) > 500
     np.testing.assert_array_equal(open_recording(path).read(), events)
+
+
+@every_bag
+def test_a_bag_is_closed_wherever_reading_ends(tmp_path, monkeypatch, name):
+    """At its end, before it, and where its topic is not there."""
+    with Bag(tmp_path / name) as bag:
+        bag.packet(WORDS, SENSOR)
+    closed = []
+    open_bag = ros_reader._open
+
+    def open_and_note(path):
+        bag, is_ros_1 = open_bag(path)
+        close = bag.close
+        bag.close = lambda: closed.append(close())
+        return bag, is_ros_1
+
+    monkeypatch.setattr(ros_reader, "_open", open_and_note)
+    path = str(tmp_path / name)
+    assert len(list(ros_reader.read_bag(path, None))) == 2 and len(closed) == 1
+    blocks = ros_reader.read_bag(path, None)
+    next(blocks)
+    blocks.close()
+    assert len(closed) == 2
+    with pytest.raises(ValueError, match="must be one of"):
+        next(ros_reader.read_bag(path, "/other"))
+    assert len(closed) == 3
