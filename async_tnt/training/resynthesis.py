@@ -173,7 +173,7 @@ class _Chunk:
         microseconds.
     window_us : length of a window.
     variations : number of other motions of each window.
-    file : where they go.
+    file : the file that the moved windows are written to.
     """
 
     part: str

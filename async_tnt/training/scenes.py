@@ -30,7 +30,7 @@ from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE
 
 SIDES = 3
-"""Width and height of a scene, in those of a recording."""
+"""Width and height of a scene, as multiples of a recording's width and height."""
 OBJECTS = 2.5
 """Objects of a scene, in the mean."""
 FEWEST = 10
@@ -80,7 +80,7 @@ class SceneMaker:
     Attributes
     ----------
     config : how the scenes' events become volumes.
-    crops : how the recordings' events do.
+    crops : how the recordings' events become volumes.
 
     Raises
     ------
