@@ -104,7 +104,7 @@ class SceneMaker:
         self._shorter = min(config.sensor)
 
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
-        """Scenes of all these windows, as `rng` draws them."""
+        """Scenes made of all `windows`, at places that `rng` draws."""
         n = len(windows)
         # A window that begins later must not show what came before: it becomes a recording.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
