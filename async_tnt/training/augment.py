@@ -77,7 +77,7 @@ class Draws:
         shows nothing.
     nothing : int64, (N,). SHOWN, or what a window shows instead of its recording, see
         `kernels.training.window_batches`.
-    place : float64, (N, 8). Where that is, in pixels of `sensor`.
+    place : float64, (N, 8). Where a window's substitute is, in pixels of `sensor`.
     sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
     """
 

@@ -306,7 +306,7 @@ class _Reader:
 
         Raises
         ------
-        _LeftOut : it cannot be read, or is not for training.
+        _LeftOut : the recording cannot be read, or is not for training.
         ValueError : another sensor, or none; the same recording is in another class; it is too
             long.
         """

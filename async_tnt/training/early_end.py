@@ -1,4 +1,4 @@
-"""When a training ends before its last epoch.
+"""The rule by which a training ends before its last epoch.
 
 It ends early where nothing that is measured on held-out windows can improve.
 

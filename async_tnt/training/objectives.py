@@ -132,7 +132,7 @@ REACH = 0.15
 """Largest distance between an object and an answer of its class that finds it, as a share of a
 recording's shorter side."""
 N_SCENES = 400
-"""Scenes in which a map model is scored, about."""
+"""About how many scenes a map model is scored in."""
 SHARES = (0.3, 0.5)
 """Shares of a window after which scenes are scored, besides at its end."""
 

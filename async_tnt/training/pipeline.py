@@ -36,7 +36,7 @@ from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
 N_MEASURED = 512
-"""Windows that an input scale is measured on, at most; they are spread evenly."""
+"""Most windows that an input scale is measured on. They are spread evenly."""
 
 
 class Pipeline(nn.Module):

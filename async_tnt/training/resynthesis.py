@@ -67,7 +67,7 @@ PARTS = ("training", "held-out")
 N_EXAMPLES = 5
 """Windows of a figure."""
 N_OTHERS = 4
-"""Other motions of each window of a figure."""
+"""Number of other motions that a figure shows of each window."""
 N_REFUSED = 2
 """Windows of a figure whose path was not found."""
 
@@ -173,7 +173,7 @@ class _Chunk:
         microseconds.
     window_us : length of a window.
     variations : number of other motions of each window.
-    file : where they go.
+    file : the file that the moved windows are written to.
     """
 
     part: str

@@ -30,7 +30,7 @@ from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE
 
 SIDES = 3
-"""Width and height of a scene, in those of a recording."""
+"""Width and height of a scene, as multiples of a recording's width and height."""
 OBJECTS = 2.5
 """Objects of a scene, in the mean."""
 FEWEST = 10
@@ -80,7 +80,7 @@ class SceneMaker:
     Attributes
     ----------
     config : how the scenes' events become volumes.
-    crops : how the recordings' events do.
+    crops : how the recordings' events become volumes.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class SceneMaker:
         self._shorter = min(config.sensor)
 
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
-        """Scenes of all these windows, as `rng` draws them."""
+        """Scenes made of all `windows`, at places that `rng` draws."""
         n = len(windows)
         # A window that begins later must not show what came before: it becomes a recording.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)

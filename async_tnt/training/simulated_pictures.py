@@ -125,7 +125,7 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
 
 
 def _is_picture(path: Path) -> bool:
-    """Whether it is named as a picture. A broken link is, and told when it is read."""
+    """Whether the file has a picture's name. A broken link is reported when it is read."""
     return path.suffix.lower() in SUFFIXES and (path.is_file() or path.is_symlink())
 
 

@@ -23,7 +23,7 @@ class TrainingData:
     training : windows to learn from.
     validation : windows that are held out. They choose nothing but the temperature and, where
         `TrainSettings.ends_early`, the last epoch. May be empty.
-    record : what the recordings are, for the model's record.
+    record : a description of the recordings, for the model's record.
     tests : name in the model's record -> windows, and more for that entry of the record.
     held_out : names of the recordings to validate on.
     masked : bool, (H, W): pixels of the sensor whose events were left out; None: no pixel.

@@ -14,7 +14,7 @@ import numpy as np
 from async_tnt.training.recordings import COLUMNS, Recordings
 
 JUDGED = 500
-"""Windows in which events of a pixel are counted, at most."""
+"""Most windows in which the events of a pixel are counted."""
 
 
 @dataclass(frozen=True)
