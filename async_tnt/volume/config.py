@@ -42,7 +42,7 @@ BINS = 9
 MAX_BINS = 1024
 """Most time bins of a volume."""
 MAX_SIDE = 1 << 15
-"""Most pixels on a side of a sensor or a grid."""
+"""Most pixels along one side of a sensor or a grid."""
 WINDOW_US = 105_000
 """Length of a window in microseconds, by default: one saccade of N-MNIST."""
 MAX_WINDOW_US = 3600 * 1_000_000
@@ -61,7 +61,9 @@ configuration."""
 
 @dataclass(frozen=True, init=False)
 class TNTConfig:
-    """How events become a volume. Checks itself when built; sizes are (width, height).
+    """The settings by which events become a volume, checked when they are made.
+
+    All sizes are (width, height).
 
     Parameters
     ----------
@@ -71,16 +73,17 @@ class TNTConfig:
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
     window_events : number of events in a window; by default windows have a duration instead. Such a
         window begins with an event, and times are scaled by its newest event, as in the thesis.
-        That one is known only when the volume is read: the events are stored, and replayed then.
-        `window_us` is the longest that such a window may last, by default an hour.
+        The newest event is known only when the volume is read: the events are stored, and replayed
+        then. `window_us` is the longest duration of such a window, by default an hour.
     t_max : TNT time at the end of a window. Positions are divided by TNT time, so an object shrinks
         by this factor until then. A smaller value loses fewer events over the border early in the
         window.
-    landmark : the point that events are normalized about. `center` of the grid; `running` centroid
-        of the window's events so far; `line`: the intercept of their running regression line;
-        `window`: the centroid of all the window's events when the volume is read; `regressor`: a
-        network's estimate from the raw event volume when the volume is read. For the last two the
-        events are stored, and replayed then.
+    landmark : the point that events are normalized about. `center`: the centre of the grid;
+        `running`: the centroid of the window's events so far; `line`: the intercept of the running
+        regression line of these events; `window`: the centroid of all the window's events when the
+        volume is read; `regressor`: a network's estimate from the raw event volume when the volume
+        is read. For the landmarks `window` and `regressor` the events are stored, and replayed when
+        the volume is read.
     polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add) or `split` (ON bins, then
         OFF bins); by default `signed` for a volume and `split` for an image.
     transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and
@@ -95,7 +98,7 @@ class TNTConfig:
 
     Raises
     ------
-    ValueError, TypeError : an invalid value; the message names its rule.
+    ValueError, TypeError : a value is invalid; the message names the rule that it breaks.
 
     Examples
     --------
@@ -167,7 +170,7 @@ class TNTConfig:
         self._check_cells()
 
     def _check_flow(self) -> None:
-        """A flow can be removed only if the landmark finds one."""
+        """Refuse `remove_flow` for a landmark that finds no flow."""
         if not self.remove_flow:
             return
         if self.landmark != "line" or self.transform != "tnt":
@@ -176,7 +179,10 @@ class TNTConfig:
             raise ParameterValueError("remove_flow", rule, got)
 
     def _check_image(self) -> None:
-        """An image has its own number of channels; one of times can be neither moved nor signed."""
+        """Refuse settings of an image that do not fit it.
+
+        An image has its own number of channels. An image of times takes no transform and no sign.
+        """
         if self.bins != IMAGE_BINS.get(self.representation, self.bins):
             allowed = ", ".join(f"{n} ({name})" for name, n in IMAGE_BINS.items())
             got = f"representation={self.representation!r}, bins={self.bins!r}"
@@ -191,7 +197,7 @@ class TNTConfig:
             )
 
     def _check_cells(self) -> None:
-        """The buffer of a volume must fit into the memory that a program allows."""
+        """Refuse a volume with more cells than `MAX_CELLS`."""
         planes = self.channels + second_bin(self)
         cells = planes * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells > MAX_CELLS:
@@ -223,7 +229,7 @@ class TNTConfig:
     def needs_replay(self) -> bool:
         """Whether events are stored until the volume is read.
 
-        So it is if the landmark or the window's duration is known only then.
+        They are stored if the landmark or the window's duration is known only then.
         """
         return self.defers_landmark or self.window_events is not None
 
@@ -248,7 +254,7 @@ class TNTConfig:
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """The fields as a dictionary of plain values, for JSON."""
         values = asdict(self)
         for name in ("sensor", "grid"):
             values[name] = list(values[name])
@@ -256,12 +262,12 @@ class TNTConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
-        """A configuration of the `values` of its fields: the inverse of `to_dict`.
+        """The configuration whose fields have these `values`: the inverse of `to_dict`.
 
         Raises
         ------
-        ValueError, TypeError : an unknown name, or an invalid value. The values are usually those
-            of a file, so that no error is a ParameterError.
+        ValueError, TypeError : a name is unknown, or a value is invalid. The values usually come
+            from a file and not from a caller, so the error is never a ParameterError.
         """
         if not isinstance(values, Mapping):
             raise TypeError(
@@ -286,9 +292,10 @@ class TNTConfig:
     def replace(self, **changes: Any) -> TNTConfig:
         """A copy with other values in the fields that `changes` names.
 
-        The defaults of some fields depend on the representation, and that of `window_us` on the
-        kind of the windows. Where `changes` sets another representation or kind, these fields get
-        their defaults, unless `changes` names them.
+        The defaults of some fields depend on the representation. The default of `window_us` depends
+        on the kind of the windows (of a duration, or of a number of events). Where `changes` sets
+        another representation or kind, these fields get their defaults, unless `changes` names
+        them.
         """
         representation = changes.get("representation", self.representation)
         if representation != self.representation:
@@ -300,9 +307,9 @@ class TNTConfig:
 
 
 def second_bin(config: TNTConfig) -> int:
-    """How many planes of cells lie between an event's first bin and its second.
+    """The number of planes of cells between an event's first bin and its second bin.
 
-    As many planes lie behind those that are read, see `kernels.volume.state`.
+    The same number of planes lies behind the planes that are read, see `kernels.volume.state`.
     """
     return config.channels if config.bins == 1 else 1
 

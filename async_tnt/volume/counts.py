@@ -22,11 +22,11 @@ class Counts:
     dropped_tau_zero: int = 0
     """Events at the very start of their window, where TNT time is zero."""
     dropped_late: int = 0
-    """Events older than all open windows, and late events under late="drop"; without
-    `dropped_decided`."""
+    """Events older than all open windows, and late events where `late` is "drop". The events of
+    `dropped_decided` are not among them."""
     dropped_decided: int = 0
-    """Late events of a window that `confidence` had closed early. All windows between that one and
-    the oldest open one were closed early, too."""
+    """Late events of a window that `confidence` had closed early. All windows between that window
+    and the oldest open window were closed early, too."""
 
     def __add__(self, other: Counts) -> Counts:
         """The sum, count by count."""

@@ -56,9 +56,10 @@ UNITS_AS = MappingProxyType(
 )
 """NumPy's units of time, in attoseconds."""
 CALENDAR_DAYS = MappingProxyType({"M": 31, "Y": 366})
-"""Days that NumPy's months and years have at most."""
+"""Most days in a month and in a year of NumPy."""
 MAX_DEPTH = 4
-"""How often `.numpy()` or `.polarity_events` may return events in yet another form."""
+"""How many times in a row `.numpy()` or `.polarity_events` may return an object that must be
+converted again."""
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of "
     "such columns, a tuple of four columns (t, x, y, p), or an object with .t .x .y .p, "
@@ -74,8 +75,8 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
 
     Raises
     ------
-    TypeError, ValueError : the value is no form of events; the message says what came and what is
-        accepted.
+    TypeError, ValueError : `events` has none of the accepted forms; the message says what was
+        passed and what is accepted.
     """
     if events is None:
         return None
@@ -129,13 +130,14 @@ def event_columns(table: Any, order: str) -> Four:
     Parameters
     ----------
     table : array or tensor of shape (N, 4): integers, or floats that are whole numbers.
-    order : what its columns are, such as "txyp" or "xytp".
+    order : the field of each column, such as "txyp" or "xytp".
 
     Raises
     ------
-    ValueError : another shape or `order`; columns that look like another order, which the message
-        names; floats of 2**24 (float32) or 2**53 (float64) and more, which may have been rounded.
-        A push checks everything else.
+    ValueError : the table has another shape; `order` does not have each letter once; the columns
+        look like another order, which the message names; or floats are 2**24 (float32) or 2**53
+        (float64) and more, and may have been rounded. Everything else is checked when the columns
+        are pushed.
 
     Examples
     --------
@@ -189,12 +191,13 @@ def check_order(name: str, order: Any) -> None:
 def likely_order(table: np.ndarray, order: str) -> str:
     """The likely order of a table's columns.
 
-    It is `order`, unless no sign speaks for that and both signs speak for another one.
+    The answer is `order`, unless neither of two signs speaks for `order` and both speak for another
+    order. `_signs` says what the signs are.
 
     Parameters
     ----------
     table : numbers in shape (N, 4).
-    order : what its columns are thought to be, such as "txyp".
+    order : the order that the caller assumes, such as "txyp".
     """
     if any(_signs(table, order)):
         return order
@@ -208,9 +211,9 @@ def likely_order(table: np.ndarray, order: str) -> str:
 
 
 def _signs(table: np.ndarray, order: str) -> tuple[bool, bool]:
-    """Two signs that the columns of a table have this order: times increase; times are the largest.
+    """Two signs that a table's columns have this order: times increase, and times are the largest.
 
-    Both are False if the polarity has other values than -1, 0 and 1.
+    Both signs are False if the column of polarities has other values than -1, 0 and 1.
     """
     columns = dict(zip(order, table.T, strict=True))
     if not np.isin(columns["p"], (-1, 0, 1)).all():
@@ -291,7 +294,7 @@ def _as_column(field: str, values: Any) -> np.ndarray:
 
 
 def _microseconds(t: np.ndarray) -> np.ndarray:
-    """Dates and durations with a unit as whole microseconds, rounded down; others unchanged.
+    """Times as whole microseconds, rounded down, if they have a unit; others unchanged.
 
     NumPy's own conversion would wrap around silently where microseconds do not fit into int64.
     """
@@ -330,7 +333,7 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
         return count // divisor
     if divisor == 1:
         return count * factor
-    # units such as 1500 ns: the product may not fit into int64, Python's integers have no end
+    # units such as 1500 ns: the product may not fit into int64, but fits into Python's integers
     exact = [value * factor // divisor for value in count.tolist()]
     return np.array(exact, np.int64)
 
@@ -340,7 +343,8 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
 
     Raises
     ------
-    ValueError : no name or several names mean it. `what` describes the events for the message.
+    ValueError : no name among `have` means `field`, or several do. `what` describes the events for
+        the message.
     """
     found = [name for name in have if name in NAMES[field]]
     if not found:

@@ -1,4 +1,4 @@
-"""Decoding: events in any accepted form become four checked, contiguous columns.
+"""The decoding of events: any accepted form becomes four checked, contiguous columns.
 
 Numba compiles separately for read-only, strided and unaligned arrays, and compiled code does not
 check bounds. So every packet is brought into one form here, once, and refused here if it is
@@ -60,20 +60,20 @@ _P = np.dtype(np.uint8)
 
 
 def empty_columns(n: int) -> Columns:
-    """Room for `n` events; none of them is valid yet."""
+    """New columns with room for `n` events; none of them is valid yet."""
     return Columns(np.empty(n, _T), np.empty(n, _XY), np.empty(n, _XY), np.empty(n, _P), 0)
 
 
 # a module's name is found faster than an attribute of NumPy
 _ARRAY = np.ndarray
-# no other subclass: compiled code would not see a mask
+# no other subclasses of arrays: compiled code would not see the mask of a masked array
 _RECORDS = (np.ndarray, np.memmap, np.recarray)
 _NO_EVENTS = empty_columns(0)
 # what Columns(...) does, without a call of Python code
 _new_tuple = tuple.__new__
 
 FIRST_CAPACITY = 1024
-"""Events that a decoder has room for, until it gets a larger packet."""
+"""Number of events that a decoder has room for, until it gets a larger packet."""
 
 
 class EventDecoder:
@@ -88,8 +88,8 @@ class EventDecoder:
 
     Attributes
     ----------
-    first_us : time of the first event of the packet that was decoded last; MAX_TIME_US if it had
-        none.
+    first_us : time of the first event of the packet that was decoded last; MAX_TIME_US if that
+        packet had no events.
     newest_us : the newest time so far, where `late` is not `accept`.
     n_dropped : how many late events were dropped.
     """
@@ -124,12 +124,13 @@ class EventDecoder:
         self.n_dropped = 0
 
     def decode(self, events: Any, apply_policy: bool = True) -> Columns:
-        """Check a packet.
+        """The events of a packet as checked columns.
 
         Parameters
         ----------
         events : a packet in any accepted form.
-        apply_policy : treat late events as `late` says; False: leave that to `apply_policy`.
+        apply_policy : whether late events are treated as `late` says. False: the caller calls the
+            method `apply_policy` afterwards.
 
         Returns
         -------
@@ -177,7 +178,10 @@ class EventDecoder:
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
 
     def _decode_records(self, events: np.ndarray) -> Columns | None:
-        """Packed records of whole numbers, by the fast path; None if they need a closer look."""
+        """The columns of packed records of whole numbers, by the fast path.
+
+        None if the records need a closer look.
+        """
         dtype = events.dtype
         # fields can be renamed in place
         if dtype is not self._dtype or dtype.names is not self._names:
@@ -259,7 +263,7 @@ class EventDecoder:
 
 
 def _compile() -> None:
-    """Compile what decodes packets, and nothing else for whatever arguments."""
+    """Compile the kernels that decode packets, and forbid their compilation for other arguments."""
     compile_only(check_columns, *CHECK_TYPES)
     compile_only(load_records, *LOAD_TYPES)
 
@@ -275,11 +279,11 @@ def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Colum
 def checked_columns(
     t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = ""
 ) -> Columns:
-    """Four columns of any integer type as `Columns`.
+    """`Columns` of four columns of any integer type, once these are checked.
 
     Parameters
     ----------
-    t, x, y, p : columns, as arrays or what NumPy makes arrays of.
+    t, x, y, p : columns: arrays, or values that NumPy can make arrays of.
     sensor : (width, height) in pixels.
     advice : the end of the message about an event beyond the sensor.
 
@@ -329,7 +333,7 @@ def structured(
 ) -> np.ndarray:
     """A new structured array of the columns t, x, y, p. Nothing is checked.
 
-    n : how many events, from the first one on; by default all.
+    n : number of events to take, from the first event on; by default all events.
     """
     events = np.empty(len(columns[0]) if n is None else n, dtype)
     for name, column in zip("txyp", columns, strict=True):
@@ -343,7 +347,7 @@ def _check_type(field: str, column: np.ndarray) -> None:
     if kind in ("iub" if field == "p" else "iu"):
         return
 
-    # a value that is at fault is named before the type of the column
+    # a message about an invalid value comes before a message about the type of the column
     if kind == "f" and not np.isfinite(column).all():
         i = int(np.argmin(np.isfinite(column)))
         raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
@@ -401,7 +405,7 @@ def _check_polarity(polarity: np.ndarray) -> None:
 def _record_layout(dtype: np.dtype) -> np.ndarray | None:
     """Offsets and kinds of t, x, y and p, and the size of a record, for `load_records`.
 
-    None for records that it cannot read.
+    None if `load_records` cannot read such records.
     """
     if dtype.names is None or dtype.fields is None:
         return None

@@ -1,4 +1,4 @@
-"""What finds the landmark `regressor`: a callable from a raw volume to a point, and its checks."""
+"""Checks of a regressor: a callable from a raw volume to a point, the landmark `regressor`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def checked_landmark(answer: Any) -> tuple[float, float]:
 
     Raises
     ------
-    ParameterValueError : not two numbers, or one of them is not finite.
+    ParameterValueError : `answer` is not two numbers, or one of the numbers is not finite.
     """
     try:
         x, y = map(float, answer)

@@ -1,6 +1,6 @@
 """Events that are stored until the volume is read, and replayed then.
 
-That is needed if one of these is known only when the volume is read:
+Three settings need a replay, because they use something that is known only when the volume is read:
 
     landmark `window`      the centroid of all the window's events so far
     landmark `regressor`   a network's estimate from the raw volume of the same events
@@ -21,10 +21,10 @@ from async_tnt.volume.regressor import Regressor, checked_landmark
 from async_tnt.volume.state import MAX_EVENTS, new_state, next_epoch, set_duration
 
 FIRST_CAPACITY = 4096
-"""Events that are stored before the memory grows for the first time."""
+"""Number of events that are stored before the memory grows for the first time."""
 MAX_STORED = 1 << 26
-"""Most events that are stored for a window that has a duration: 870 MB. A clock that stands still
-would otherwise fill the memory."""
+"""Most events that are stored for a window of a duration; they take 870 MB. Without this limit, a
+clock that stands still would fill the memory."""
 UNCHANGED_BY_REPLAY = (S.LIMIT_US, S.RECEIVED, S.DECIDED_FROM_US)
 """Slots of a volume's buffer that keep their numbers when its events are replayed."""
 MORE_THAN_THE_LOG_HOLDS = MAX_EVENTS
@@ -35,13 +35,13 @@ names."""
 class ReplayBuffer:
     """The stored events of one window, and their replay.
 
-    They are replayed about the landmark and with the duration that are known by then. The memory
-    grows with the window.
+    The events are replayed when the volume is read, with the landmark and the duration that are
+    known at that moment. The memory grows with the window.
 
     Parameters
     ----------
-    config : configuration of the volume that they are replayed into.
-    regressor : the callable of landmark `regressor`; None: another landmark.
+    config : configuration of the volume that the events are replayed into.
+    regressor : the callable of landmark `regressor`; None if the landmark is another one.
     """
 
     KERNELS = (store_events, empty_volume, absorb, cells_to_float32)
@@ -75,19 +75,20 @@ class ReplayBuffer:
             before_limit = columns.t[first:last] < limit_us
             self._grow(n_before, n_before + int(np.count_nonzero(before_limit)))
 
-        # first, even if no event will be stored: an exception, such as Ctrl-C, may come right after
-        # the kernel
+        # The landmark is forgotten first, even if no event will be stored: an exception, such as
+        # Ctrl-C, may come right after the kernel.
         self._landmark = None
         self._is_replayed = False
-        # the memory is a limit, too: another thread may have changed the times since they were
-        # counted
+        # The memory is a limit, too: another thread may have changed the events' times since the
+        # events were counted.
         room = min(self._n_most, self._columns.t.size)
         return int(store_events(buffer, *columns[:4], first, last, *self._columns[:4], room))
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y), in grid pixels, of a window with events.
 
-        It is kept until new events arrive. Only for configurations with `defers_landmark`.
+        The landmark is kept until new events arrive. This may be called only if `defers_landmark`
+        of the configuration is True.
         """
         if self._landmark is None:
             return self._find_landmark(buffer)
@@ -120,11 +121,12 @@ class ReplayBuffer:
         return array
 
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """Replay the stored events, if needed: the volume's cells and counts are up to date then.
+        """Bring the volume's cells and counts up to date: replay the stored events, if needed.
 
-        buffer, array : those of the volume, see `kernels.volume.readout.empty_volume`.
+        buffer, array : the volume's buffer and its array, see
+            `kernels.volume.readout.empty_volume`.
         """
-        # a window without events may have been changed by late ones
+        # late events may have changed a window without events
         if not self._is_replayed and _n_events(buffer):
             self._replay(buffer, array)
 
@@ -173,7 +175,7 @@ class ReplayBuffer:
         self._landmark = None
 
     def _grow(self, n_stored: int, n: int) -> None:
-        """Make room for `n` events, and keep the `n_stored` that are there."""
+        """Make room for `n` events, and keep the `n_stored` events that are there."""
         n = min(n, self._n_most)
         if n > MAX_STORED and self._config.window_events is None:
             raise ValueError(

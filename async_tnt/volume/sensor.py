@@ -12,7 +12,7 @@ Sensor = tuple[int, int]
 
 
 def format_size(size: Sensor) -> str:
-    """The text of a size, such as `346x260` for (346, 260)."""
+    """A size as text, such as `346x260` for (346, 260)."""
     return f"{size[0]}x{size[1]}"
 
 
@@ -21,7 +21,7 @@ def checked_sensor(sensor: Any) -> Sensor:
 
     Raises
     ------
-    ParameterValueError : not two whole numbers in [1, 2**15].
+    ParameterValueError : `sensor` is not two whole numbers in [1, 2**15].
     """
     not_a_pair = ParameterValueError(
         "sensor", "must be (width, height) in whole pixels", short(sensor)
@@ -45,19 +45,19 @@ def check_sensor(
     origin: str = "the model is for",
     advice: str = "",
 ) -> None:
-    """Refuse a source that states another sensor than the wanted one.
+    """Refuse a source whose sensor has another size than the wanted one.
 
     Parameters
     ----------
     name : name of the source, for the message.
-    found : (width, height) of the source; None: it states no sensor.
-    wanted : (width, height) that it should have; None: any.
+    found : (width, height) of the source's sensor; None if the source does not state it.
+    wanted : (width, height) that the sensor should have; None if any size will do.
     origin : where `wanted` comes from, for the message.
     advice : what to do about another sensor, for the message.
 
     Raises
     ------
-    ValueError : both are known, and differ.
+    ValueError : `found` and `wanted` are both known, and differ.
     """
     if found is None or wanted is None or tuple(found) == wanted:
         return

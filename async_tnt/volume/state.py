@@ -1,4 +1,4 @@
-"""A volume's flat buffer, which the kernels work on: made, and scaled to a window's duration."""
+"""A volume's flat buffer, which the kernels work on: how it is made and scaled to a duration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ COMBINE_OF_IMAGE = {
     "mean_time": S.COMBINE_MEAN,
     "time_surface": S.COMBINE_SURFACE,
 }
-"""What an event does to the cells of an image; to others it is added."""
+"""Representation -> how an event changes a cell. For representations that are not named here, the
+event is added to the cell."""
 
 _epochs = itertools.count(1)
 
@@ -30,7 +31,7 @@ def next_epoch() -> int:
 
 
 def new_state(config: TNTConfig) -> np.ndarray:
-    """The buffer of a volume with its parameters, no window open; see `kernels.volume.state`."""
+    """A new buffer with the volume's parameters and no open window; see `kernels.volume.state`."""
     sensor_w, sensor_h = config.sensor
     width, height = config.grid
     plane = (width + 1) * (height + 1)
@@ -71,7 +72,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
 
 
 def _mode(config: TNTConfig) -> int:
-    """How an event's coordinates are made: one of the MODE_ numbers."""
+    """The MODE_ number that says how an event's coordinates are made."""
     if config.transform == "none":
         return S.MODE_RAW
     if config.remove_flow:
@@ -89,12 +90,12 @@ def _power_of_two(n: int) -> int:
 
 
 def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
-    """Set the scales of time, which the window's duration determines."""
+    """Set the scales of time in the buffer. The window's duration determines them."""
     gain_x, gain_y = config.to_grid(1.0, 1.0)
     per_tau_us = 1.0 if config.transform == "none" else window_us / config.t_max
     last_bin = config.bins - 1
     bins_per_us = last_bin / window_us if config.representation == "volume" else 0.0
-    # rounded up, an event at the window's end would be beyond the last bin
+    # if the scale was rounded up, an event at the window's end would be beyond the last bin
     if window_us * bins_per_us > last_bin:
         bins_per_us = math.nextafter(bins_per_us, 0.0)
     buffer[S.WINDOW_US] = window_us

@@ -1,4 +1,4 @@
-"""TNTVolume: the incremental representation, O(1) work per event."""
+"""TNTVolume: a volume that is updated with O(1) work per event."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from async_tnt.volume.replay import ReplayBuffer
 from async_tnt.volume.state import new_state, next_epoch
 
 UNOPENED = -1
-"""LIMIT_US while no window is open: every time is at or after it."""
+"""LIMIT_US while no window is open: the time of every event is at or after it."""
 COUNTED = (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED)
 """Slots of the buffer that count events since the volume was made."""
 
@@ -47,9 +47,9 @@ class TNTVolume:
 
     Raises
     ------
-    ValueError, TypeError : an invalid setting; a regressor for another landmark than `regressor`,
-        or no regressor for that landmark. When the volume is read: the regressor's answer is not a
-        finite (x, y).
+    ValueError, TypeError : a setting is invalid; a regressor is passed, but the landmark is not
+        `regressor`; or the landmark is `regressor`, and none is passed. Also when the volume is
+        read, if the regressor's answer is not a finite (x, y).
 
     Examples
     --------
@@ -106,7 +106,7 @@ class TNTVolume:
     def open(self, start_us: int) -> None:
         """Open the empty window `[start_us, start_us + window_us)`; later windows follow it.
 
-        start_us : the window's start, in microseconds.
+        start_us : start of the window, in microseconds.
         """
         start_us = checked_time("start_us", start_us)
         self._empty(start_us, start_us + self.config.window_us)
@@ -119,7 +119,7 @@ class TNTVolume:
     def set_limit(self, limit_us: int) -> None:
         """Make `absorb` stop before events at or after `limit_us`.
 
-        It always stops at the window's end.
+        `absorb` also stops at the window's end, whatever the limit is.
         """
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
@@ -186,10 +186,10 @@ class TNTVolume:
 
         Returns
         -------
-        int : ABSORBED, the event was added. LATE, it is before the window and was only counted.
-            AT_LIMIT, it is valid but at or past the limit. REFUSED, the decoder has to look at it:
-            it is invalid or not four Python integers, or this volume drops late events or stores
-            events for a replay.
+        int : ABSORBED: the event was added. LATE: the event is before the window and was only
+            counted. AT_LIMIT: the event is valid but at or past the limit. REFUSED: the decoder has
+            to look at the event. It is invalid or not four Python integers, or this volume drops
+            late events or stores events for a replay.
         """
         try:
             # Numba would compile for a bool, a float or a NumPy scalar
@@ -215,7 +215,7 @@ class TNTVolume:
     def _open_next(self, t_us: int) -> int:
         """Open the window that holds `t_us`, a time at or after the open window's end.
 
-        Returns how many windows with events that closes: 0 or 1.
+        Returns the number of windows with events that are closed by this: 0 or 1.
         """
         n_closed = int(self.n_events > 0)
         start_us = t_us
@@ -227,7 +227,7 @@ class TNTVolume:
     @one_at_a_time
     def reset(self) -> None:
         """Return to the state after construction: no window open, all counts zero."""
-        # first: this is refused while another thread reads the volume
+        # The replay is reset first: that is refused while another thread reads the volume.
         if self._replay is not None:
             self._replay.reset()
         self._decoder.reset()
@@ -241,8 +241,8 @@ class TNTVolume:
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 
-        Each access returns a read-only view of the same memory, and brings it up to date. A new
-        window may empty it: copy it to keep it.
+        Each access brings the volume up to date, and returns a read-only view of the same memory. A
+        new window may empty this memory: copy the array to keep it.
         """
         self._running.begin()
         try:
@@ -254,9 +254,9 @@ class TNTVolume:
             self._running.now = False
 
     def state(self) -> np.ndarray:
-        """The open window's numbers, up to date, as `kernels.volume.state` lays them out.
+        """The volume's buffer, up to date. `kernels.volume.state` says where each number lies.
 
-        Not to be written to.
+        Do not write to it.
         """
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
@@ -264,9 +264,9 @@ class TNTVolume:
 
     @property
     def buffer(self) -> np.ndarray:
-        """The array of `state()` without a replay of stored events.
+        """The same array as `state()`, but stored events are not replayed.
 
-        For compiled code that adds events to it.
+        It is for compiled code that adds events to the volume.
         """
         return self._buffer
 
@@ -296,9 +296,9 @@ class TNTVolume:
 
     @property
     def flow(self) -> tuple[float, float]:
-        """The fitted flow (x, y) in grid pixels per window, of landmark `line` only.
+        """The fitted flow (x, y) in grid pixels per window, for the landmark `line` only.
 
-        A window of `window_events` lasts until its newest event.
+        The duration of a window of `window_events` is the time until its newest event.
         """
         if self.config.landmark != "line" or self.config.transform != "tnt":
             got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
@@ -306,7 +306,7 @@ class TNTVolume:
         return self.config.to_grid(*self._slopes())
 
     def _slopes(self) -> tuple[float, float]:
-        """The slopes of the running line against the fraction of the window, in sensor pixels."""
+        """The slopes (x, y) of the running line, in sensor pixels per window."""
         buffer = self.state()
         c_ff = float(buffer[S.C_FF]) + 1.0
         return float(buffer[S.C_XF]) / c_ff, float(buffer[S.C_YF]) / c_ff
@@ -320,7 +320,7 @@ class TNTVolume:
         tau_zero = int(ints[S.TAU_ZERO])
         late = int(ints[S.LATE])
         decided = int(ints[S.DECIDED])
-        # late events that the decoder has dropped never came to the kernels
+        # the kernels have not counted the late events that the decoder dropped
         by_decoder = self._decoder.n_dropped
         return Counts(
             received=received + by_decoder,
@@ -358,12 +358,12 @@ class TNTVolume:
 
     @property
     def start_us(self) -> int:
-        """Start of the open window; 0 before the first."""
+        """Start of the open window, in microseconds; 0 before the first window."""
         return int(self._ints[S.START_US])
 
     @property
     def newest_us(self) -> int:
-        """Time of the newest event in the open window; -1 if it has none."""
+        """Time of the newest event in the open window, in microseconds; -1 if it has none."""
         return int(self._ints[S.NEWEST_US])
 
 
