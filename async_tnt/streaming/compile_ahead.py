@@ -34,18 +34,18 @@ from async_tnt.volume.replay import ReplayBuffer
 from async_tnt.volume.volume import TNTVolume
 
 CHILD_S = 120.0
-"""Seconds that this process waits for a second one that compiles."""
+"""Seconds that this process waits for a second process that compiles."""
 
 EVERY_STREAM = {*EventDecoder.KERNELS, *TNTVolume.KERNELS, *Triggers.KERNELS}
 """Kernels that every stream calls."""
 OTHER_CLASSIFIERS = {*TNTVolume.ARRAY_KERNELS, *WindowClassifier.KERNELS}
-"""Kernels around a classifier that is not our own compiled one."""
+"""Kernels that a stream also calls if its classifier is not our own compiled one."""
 NETWORKS = {
     *CompiledClassifier.KERNELS,
     *CompiledClassifier.MAP_KERNELS,
     *CompiledRegressor.KERNELS,
 }
-"""Kernels of networks: these have nothing in common with those of events."""
+"""Kernels of networks. They have nothing in common with the kernels of events."""
 
 
 def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
@@ -62,7 +62,7 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
 
     Returns
     -------
-    float : seconds that it took.
+    float : how many seconds the compilation took.
     """
     started_s = time.perf_counter()
     if isinstance(model, (str, Path)):
@@ -77,7 +77,10 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
 
 
 def _kernels_for_any_settings(model: Model | TNTConfig | None) -> set[Kernel]:
-    """All kernels that streams of a model, or of a configuration, may call; None: all there are."""
+    """All kernels that streams of a model, or of a configuration, may call.
+
+    model : None stands for any model: all kernels are returned.
+    """
     config = model.config if isinstance(model, Model) else model
     finds_objects = isinstance(model, Model) and model.places is not None
     classifies = isinstance(model, Model) and model.places is None
@@ -108,8 +111,8 @@ def compile_for(
     Parameters
     ----------
     config : TNTConfig.
-    classifier : what decides. Only our own code is compiled.
-    regressor : what finds the landmark, or None.
+    classifier : the callable that decides. Only our own code is compiled.
+    regressor : the callable that finds the landmark, or None.
     triggers : when decisions are made.
     finds_late : whether late events are searched for.
     """
@@ -145,7 +148,7 @@ def compile_kernels(kernels: Iterable[Kernel]) -> None:
 
 
 def compile_named(names: Collection[str]) -> None:
-    """Compile the kernels with these names: what a second process does."""
+    """Compile the kernels with these names. The second process calls this."""
     compile_kernels([kernel for kernel in TYPES if kernel.__name__ in names])
 
 
@@ -161,9 +164,9 @@ def fill_cache(
 
     Parameters
     ----------
-    kernels : by default those that every stream of the model calls.
+    kernels : kernels to compile; by default the kernels that every stream of the model calls.
     model : the model of the streams.
-    first : called before a compilation. It raises what would otherwise show only 20 s later.
+    first : called before a compilation. It raises errors that would otherwise show only 20 s later.
     """
     if kernels is None:
         finds_objects = getattr(model, "places", None) is not None
@@ -188,7 +191,7 @@ def fill_cache(
 def _compile_with_a_second_process(kernels: set[Kernel]) -> None:
     """Let a second process compile the network's kernels, and compile the others here.
 
-    `absorb_and_decide` has parts of both: it is left for later.
+    `absorb_and_decide` calls kernels of both kinds, so it is compiled later.
     """
     of_network = kernels & NETWORKS
     if not of_network:
@@ -231,7 +234,7 @@ def _not_collecting() -> Iterator[None]:
 
 
 def _in_order(kernels: Iterable[Kernel]) -> list[Kernel]:
-    """Kernels in the order of compilation: one that calls others comes after them."""
+    """Kernels in the order of compilation: a kernel that calls others comes after them."""
     order = list(TYPES)
     return sorted(set(kernels), key=order.index)
 
@@ -239,12 +242,12 @@ def _in_order(kernels: Iterable[Kernel]) -> list[Kernel]:
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
     """Start a process that compiles these kernels into the cache.
 
-    None where that is impossible, or would save no time.
+    Returns None where a second process is impossible, or would save no time.
     """
     if available_cores() < 2 or not sys.executable or getattr(sys, "frozen", False):
         return None
-    # -P, and our own path: it shall find the same modules as this process, and nothing in the
-    # current folder
+    # -P, and our own path: the second process shall find the same modules as this process, and no
+    # modules in the current folder
     path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
     code = f"from async_tnt.streaming.compile_ahead import compile_named; compile_named({names})"
     nothing: dict[str, Any] = {

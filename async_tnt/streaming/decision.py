@@ -1,4 +1,4 @@
-"""Decision: what a window shows at one moment; Object: what stands where in it."""
+"""Decision: what a window shows at one moment. Object: a thing in the window, and its place."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Trigger = Literal["window", "every_us", "every_events", "confidence", "fire", "e
 
 @dataclass(frozen=True, slots=True)
 class Object:
-    """Something that a map model has found."""
+    """An object that a map model has found in a window."""
 
     label: str
     """Name of its likeliest class."""
@@ -22,16 +22,16 @@ class Object:
     probability: float
     """Probability of that class at this place."""
     x: float
-    """Column where it stands, in sensor pixels."""
+    """Column of its place, in sensor pixels."""
     y: float
-    """Row where it stands, in sensor pixels."""
+    """Row of its place, in sensor pixels."""
     id: int
-    """Number of the object. It stays the same while the object moves little between two decisions;
-    a new object gets the next unused number. `fire` uses up no number: if an object is new to it,
-    the next decision may give that number to another object."""
+    """Number of the object. It stays the same while the object moves little between two decisions.
+    A new object gets the next unused number. `fire` uses up no number: the number of an object that
+    only `fire` has found may go to another object at the next decision."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; probability to six decimals, position to two."""
+        """A dictionary of plain values, for JSON: probability to six decimals, place to two."""
         return {
             "id": self.id,
             "label": self.label,
@@ -42,10 +42,10 @@ class Object:
 
 
 LIKELIEST = 3
-"""How many classes, or objects, the `repr` of a decision names."""
+"""Number of classes, or of objects, that the `repr` of a decision names."""
 
 
-# eq=False: arrays have no truth value to compare by
+# eq=False: a comparison of two arrays is an array, which has no truth value
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Decision:
     """What a window shows at one moment: its class, or with a map model the objects in it."""
@@ -56,24 +56,25 @@ class Decision:
     index: int
     """Number of that class, from 0; -1 if there is no object."""
     probabilities: np.ndarray
-    """Softmax of the logits: float64, shape (n_classes,). With a map model (n_objects,
-    n_classes + 1), where the last column is that of no object."""
+    """Softmax of the logits: float64, shape (n_classes,). With a map model the shape is (n_objects,
+    n_classes + 1), and the last column is the probability of no object."""
     logits: np.ndarray
-    """What the classifier answered: float32, shape (n_classes,). With a map model (n_classes + 1,
-    R, C), read-only, and valid until the next decision: copy it to keep it."""
+    """The classifier's answer: float32, shape (n_classes,). With a map model the shape is
+    (n_classes + 1, R, C), and the array is read-only and valid until the next decision: copy it to
+    keep it."""
     window_start_us: int
     """Start of the window, in microseconds."""
     time_us: int
-    """Time of the newest event in the window, in microseconds; without events the window's
+    """Time of the newest event in the window, in microseconds. If the window has no events, its
     start."""
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether this decision closes the window, at its end or early by `confidence`. The end of the
-    stream completes no window."""
+    """Whether this decision closes the window, at the window's end or early by `confidence`. False
+    for a decision at the end of the stream."""
     trigger: Trigger
-    """What caused it: `window` (which closed), `every_us`, `every_events`, `confidence` (which
-    closed the window), `fire` (on demand), `end` (of the stream)."""
+    """The cause of the decision: `window` (the window has ended), `every_us`, `every_events`,
+    `confidence` (which closed the window), `fire` (on demand) or `end` (the stream has ended)."""
     objects: tuple[Object, ...] | None = None
     """Objects that a map model has found, the likeliest first; None with any other model."""
 
@@ -87,7 +88,10 @@ class Decision:
         return self.objects[0].probability
 
     def __repr__(self) -> str:
-        """What was decided, why and when, on one line. The arrays may hold thousands of numbers."""
+        """What was decided, why and when, on one line.
+
+        The arrays are left out: they may hold thousands of numbers.
+        """
         answer = self._likeliest_classes() if self.objects is None else self._likeliest_objects()
         return (
             f"Decision(label={self.label!r}, probability={self.probability:.3f}, "
@@ -110,9 +114,9 @@ class Decision:
         return f"objects=[{', '.join(listed)}]"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON: no logits, probabilities to six decimals.
+        """A dictionary of plain values, for JSON: no logits, and probabilities to six decimals.
 
-        With a map model `objects` stand in place of `probabilities`.
+        With a map model it has `objects` in place of `probabilities`.
         """
         values: dict[str, Any] = {
             "time_us": self.time_us,

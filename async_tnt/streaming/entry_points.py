@@ -1,4 +1,4 @@
-"""The types of the arguments with which a stream calls its kernels: what can be compiled ahead.
+"""The kernels that can be compiled ahead, and the types of the arguments that a stream gives them.
 
 Each class that calls kernels from Python names them in its attributes `KERNELS`, `..._KERNELS`.
 """
@@ -39,7 +39,8 @@ _TRIGGER = float64[::1]
 # a network: program, weights, feature maps, records of changes
 _WEIGHTS = types.Array(float32, 1, "C", readonly=True)
 _NETWORK = (int64[::1], _WEIGHTS, float32[::1], uint32[::1])
-# the arrays of an ObjectReader, and what objects are tracked by: tracks, time, whether to keep them
+# the arrays of an ObjectReader, and the arguments by which objects are tracked: tracks, time, and
+# whether to keep the tracks
 _OBJECTS = (int64[::1], float64[:, ::1], uint64[:, ::1], float64[:, ::1], float64[:, ::1])
 _TRACKS = (float64[:, ::1], int64, boolean)
 # several decisions: logits, probabilities, notes

@@ -50,7 +50,7 @@ from async_tnt.volume.volume import TNTVolume
 
 
 def _recovering(method: Method) -> Method:
-    """Make the state of a Processor consistent after an exception in this method."""
+    """A method that makes the Processor's state consistent again after an exception in it."""
 
     @functools.wraps(method)
     def recovering(self: Any, *args: Any, **kwargs: Any) -> Any:
@@ -64,7 +64,7 @@ def _recovering(method: Method) -> Method:
 
 
 class Processor(TriggerAttributes):
-    """Classifies windows of an event stream while the events arrive.
+    """A stream of events that is classified, window by window, while the events arrive.
 
     Windows lie end to end, from `start_us` or else from the first event. A window is classified
     when it closes, and skipped if it holds no events. A window of `window_events` begins with the
@@ -82,9 +82,9 @@ class Processor(TriggerAttributes):
     hop_us : distance between the starts of windows, by default `window_us`. With a smaller distance
         windows overlap. Triggers and `fire` then concern the oldest open window, the most complete
         one. Not with `window_events`.
-    every_us : decide also whenever this much time has passed since the window's start, if new
-        events have arrived. The decision is made when the first event at or after that moment
-        arrives, and only for the oldest window.
+    every_us : decide also at every multiple of this time, in microseconds, after the window's
+        start, if new events have arrived. The decision is made when the first event at or after
+        that moment arrives, and only for the oldest window.
     every_events : decide also whenever this many more events of the window have arrived.
     confidence : close the window early, with a last decision, as soon as the likeliest class has
         this probability. It is checked at every decision of the other triggers, or after every
@@ -99,8 +99,8 @@ class Processor(TriggerAttributes):
         late events.
 
     A copy continues the stream, bit for bit, and so does a pickle. `every_us`, `every_events`,
-    `confidence` and `classifier` are attributes, too, and may change between calls. A call while
-    another one is running, in another thread or further up in the same one, is a RuntimeError.
+    `confidence` and `classifier` are attributes, too, and may change between calls. A call raises a
+    RuntimeError while another call is running, in another thread or further up in the same thread.
 
     Examples
     --------
@@ -112,7 +112,7 @@ class Processor(TriggerAttributes):
     [3]
     """
 
-    # so that the assignment of a mistyped trigger is an error
+    # Slots make it an error to assign a trigger whose name is mistyped.
     __slots__ = (
         "__weakref__",
         "_accepts_late",
@@ -197,11 +197,12 @@ class Processor(TriggerAttributes):
         ------
         ValueError, TypeError : the packet is invalid. The message names field, rule, value and
             event; nothing changes.
-        Exception : what classifier and regressor raise passes through. The events before that
-            decision have been processed then, and the others have not; but with `late` other than
-            "accept" all have been seen, and are late if they are pushed again. The packet's earlier
-            decisions are lost. The next push repeats a decision at a window's end or of `every_us`;
-            a decision that was due by an event is lost.
+        Exception : an error of the classifier or the regressor passes through. The events before
+            the failed decision have been processed then, and the other events have not. But if
+            `late` is not "accept", all events of the packet have been seen, and are late if they
+            are pushed again. The packet's earlier decisions are lost. The next push repeats a
+            failed decision at a window's end or of `every_us`; a failed decision that an event made
+            due is lost.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
@@ -261,10 +262,10 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def _recover(self) -> None:
-        """Bring the state to that of a stream that ends at some event of the packet.
+        """Make the state consistent: that of a stream that ends at some event of the packet.
 
-        Called after any exception, also after Ctrl-C in the middle of a step. An error of a
-        classifier leaves nothing to be done.
+        This is called after any exception, also after Ctrl-C in the middle of a step. After an
+        error of a classifier the state is consistent already.
         """
         windows = self._windows
         windows.recover()
@@ -295,7 +296,7 @@ class Processor(TriggerAttributes):
         return decisions
 
     def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """Look whether the clock has begun again at an event that has been counted as late."""
+        """Check whether the clock has begun again at an event that has been counted as late."""
         columns = self._decoder.decode_one(t, x, y, p, False)
         first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
         if first is None:
@@ -348,7 +349,7 @@ class Processor(TriggerAttributes):
     def _absorb_until_decision(
         self, columns: Columns, first: int, decisions: list[Decision]
     ) -> int:
-        """Add events until one makes a decision due, or further if compiled code decides.
+        """Add events until one of them makes a decision due, or further if compiled code decides.
 
         Returns the first event not added.
         """
@@ -384,7 +385,7 @@ class Processor(TriggerAttributes):
     def _decide_if_due(self, n_before: int) -> list[Decision]:
         """The decision that the oldest window's newest event made due, if any.
 
-        n_before : events that the window held before.
+        n_before : number of events in the window before the newest events were added.
         """
         oldest = self._windows.oldest
         triggers = self._triggers
@@ -419,7 +420,8 @@ class Processor(TriggerAttributes):
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
         """Decide about the oldest window, which is complete, unless it is empty; and close it."""
         oldest = self._windows.oldest
-        # before it is closed: if the classifier raises, the window stays open
+        # The decision is made before the window is closed: if the classifier raises an error, the
+        # window stays open.
         if oldest.n_events:
             decisions.append(self._classifier.decide(oldest, "window", complete=True))
         self._seen_us = max(self._newest_us, now_us)
@@ -433,7 +435,7 @@ class Processor(TriggerAttributes):
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
-        """Append new decisions about the oldest window; a complete one closes it early."""
+        """Append new decisions about the oldest window. A complete decision closes it early."""
         decisions += new
         if new:
             self._triggers.n_at_decision = new[-1].events
@@ -446,7 +448,7 @@ class Processor(TriggerAttributes):
     def _begin_oldest(self, now_us: int) -> None:
         """Note that another window has become the oldest, or that no window is open any more.
 
-        now_us : no event so far is later than this time.
+        now_us : a time that no event so far is later than.
         """
         windows = self._windows
         self._seen_us = now_us
@@ -512,7 +514,7 @@ class Processor(TriggerAttributes):
         """What became of the events.
 
         Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an event once.
-        The other counts have it once for each window that contains it.
+        The other counts include an event once for each window that contains it.
         """
         return self._windows.counts(self._decoder.n_dropped)
 
@@ -520,7 +522,8 @@ class Processor(TriggerAttributes):
     def classifier(self) -> Classifier:
         """The callable from a volume to logits.
 
-        Another one is used from the next decision on. One that cannot fit is refused.
+        A classifier that is assigned is used from the next decision on. It is refused if it cannot
+        fit the model.
         """
         return self._classifier.classifier
 
@@ -563,7 +566,7 @@ class Processor(TriggerAttributes):
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _prepare(self) -> None:
-        """Compile what these settings call, so that no event has to wait for it."""
+        """Compile the kernels that these settings need, so that no event has to wait for it."""
         settings = self._triggers.settings
         compile_for(
             self.config, self.classifier, self._windows.regressor, settings, self.late != "accept"
@@ -571,10 +574,11 @@ class Processor(TriggerAttributes):
         self._choose_ways()
 
     def _choose_ways(self) -> None:
-        """Choose the ways of events that fit the settings."""
+        """Choose the code paths for events that fit the settings."""
         settings = self._triggers.settings
         overlap = self._windows.overlap
-        # the only volume, to which single events go without the decoder; None: they need it
+        # the only volume, to which single events go without the decoder; None: single events need
+        # the decoder
         is_direct = not overlap and self._accepts_late
         self._direct_volume: TNTVolume | None = self._windows.oldest if is_direct else None
         self._by_event = settings.by_event
@@ -604,7 +608,7 @@ class Processor(TriggerAttributes):
     ) -> Processor:
         """A Processor that continues the stream of `save_state`, with the same settings.
 
-        `model`, `classifier` and `regressor` are those that it was made with.
+        `model`, `classifier` and `regressor` are those that the saved Processor was made with.
 
         Raises
         ------

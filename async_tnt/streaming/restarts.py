@@ -1,10 +1,12 @@
-"""Restarts: the clock of a source begins again.
+"""The detection of restarts: the clock of a source begins again.
 
-This happens if a recording is read twice, if a camera is plugged in again, or if a counter wraps.
+A restart happens if a recording is read twice, if a camera is plugged in again, or if a counter
+wraps.
 
 All events that follow are older than the open window, and would be dropped as late without a word.
-Such a restart is told from a few events that come late: there are ENOUGH events in a row, and each
-of them is older than the newest event before it by a window, or by BEHIND_US if windows are longer.
+A restart differs from a few events that come late. At a restart there are ENOUGH events in a row,
+and each of them is older than the newest event before it by the length of a window, or by BEHIND_US
+if windows are longer.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ from async_tnt.volume.events import Columns
 OnRestart = Literal["warn", "reset", "raise"]
 ON_RESTART = get_args(OnRestart)
 ENOUGH = 32
-"""Events behind in a row that show a restart."""
+"""Number of events in a row that must be behind the newest event to show a restart."""
 BEHIND_US = 100_000
-"""Microseconds that an event is older than the newest one, if it is behind."""
+"""An event is behind if it is older than the newest event by this many microseconds, or by the
+length of a window if that is shorter."""
 
 PACKAGE = f"{__name__.partition('.')[0]}."
-"""How the names of this package's modules begin."""
+"""Beginning of the names of this package's modules."""
 
 
 class RestartWatch:
@@ -35,7 +38,7 @@ class RestartWatch:
 
     Parameters
     ----------
-    on_restart : what the processor does about one.
+    on_restart : what the processor does about a restart.
     window_us : length of a window.
 
     Attributes
@@ -44,7 +47,7 @@ class RestartWatch:
     looks_at_all : whether every packet is to be looked at, not only one that begins with a late
         event.
     waiting : copies of the newest packets while all their events are behind: they may be the first
-        ones after a restart.
+        packets after a restart.
     """
 
     def __init__(self, on_restart: OnRestart, window_us: int) -> None:
@@ -79,7 +82,7 @@ class RestartWatch:
 
         Raises
         ------
-        ValueError : a restart, and `on_restart` is "raise".
+        ValueError : there is a restart, and `on_restart` is "raise".
         """
         # other events came in between
         if self.waiting and (newest_us, n_events) != self._before:

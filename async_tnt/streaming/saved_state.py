@@ -1,6 +1,6 @@
 """The state of a stream without the networks that decide about it.
 
-It is small, and is continued with the model, which is given again.
+The saved state is small. To continue the stream, the caller passes the model again.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from async_tnt.base.messages import one_line
 
 
 def named_networks(classifier: Any, regressor: Any) -> dict[str, Any]:
-    """The parts of a stream that its saved state has by name only, by this name.
+    """Name -> part of a stream that its saved state holds by this name only.
 
-    None if there is no such part.
+    The value is None if the stream has no such part.
     """
     return {
         "classifier": classifier,
@@ -38,7 +38,7 @@ def load_state(state: bytes, networks: dict[str, Any]) -> Any:
 
     Raises
     ------
-    ValueError : the bytes are not such a state.
+    ValueError : `state` does not come from `dump_state`.
     """
     unpickler = _Unpickler(io.BytesIO(state))
     unpickler.networks = networks

@@ -17,7 +17,7 @@ from async_tnt.volume.regressor import Regressor
 
 @dataclass(frozen=True)
 class StreamNetworks:
-    """What a stream needs of its model. The parameters are those of `Processor`."""
+    """The configuration and the networks of a stream. The fields are parameters of `Processor`."""
 
     config: TNTConfig
     classifier: Classifier
@@ -37,7 +37,8 @@ def networks_of(
 
     Raises
     ------
-    ParameterTypeError : `model` is of another type, or a configuration without a classifier.
+    ParameterTypeError : `model` is of another type, or is a configuration and `classifier` is
+        None.
     """
     if isinstance(model, (str, Path)):
         model = load_model(model)

@@ -22,8 +22,8 @@ from async_tnt.volume.events import LARGER_CAMERA, EventDecoder, Late
 from async_tnt.volume.regressor import Regressor
 
 PIECE = 256
-"""Events that `volumes` pushes at once. They close few windows: all volumes of a long packet might
-not fit into the memory."""
+"""Number of events that `volumes` pushes at once. So few events close few windows. The volumes of
+all the windows of a long packet might not fit into the memory."""
 
 
 class Settings(TypedDict, total=False):
@@ -48,7 +48,7 @@ def stream(
     finish: bool = True,
     **settings: Unpack[Settings],
 ) -> Iterator[Decision]:
-    """Classify a source of events, lazily.
+    """The decisions about a source of events, made while the source is read.
 
     Parameters
     ----------
@@ -147,14 +147,15 @@ class WindowVolume(NamedTuple):
 def volumes(
     source: Iterable[Any], config: TNTConfig, **settings: Unpack[Settings]
 ) -> Iterator[WindowVolume]:
-    """The volumes of a source's windows, for networks and programs of one's own.
+    """The volumes of a source's windows, for the caller's own networks and programs.
 
     Parameters
     ----------
     source : see `stream`.
     config : how events become volumes.
-    settings : those of `stream` without `classifier`, `classes` and `confidence`. A trigger such as
-        `every_us` yields the window's volume so far at each of its moments, too.
+    settings : the settings of `stream` without `classifier`, `classes` and `confidence`. With a
+        trigger such as `every_us`, the volume of the window so far is also yielded whenever the
+        trigger fires.
 
     Examples
     --------
@@ -178,7 +179,7 @@ def volumes(
     waiting: list[np.ndarray] = []
 
     def keep(volume: np.ndarray) -> list[float]:
-        """Keep the volume; a classifier that has nothing to decide."""
+        """Keep the volume. The function stands in place of a classifier, and decides nothing."""
         waiting.append(volume.copy())
         return [0.0]
 

@@ -1,6 +1,6 @@
-"""Triggers: when a processor decides apart from the end of each window.
+"""The triggers of a processor: when it decides before the end of a window.
 
-Here are their settings, and their state in the kernels.
+This module has their settings, and their state in the kernels.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class TriggerSettings:
 
     Raises
     ------
-    ParameterValueError, ParameterTypeError : an invalid value.
+    ParameterValueError, ParameterTypeError : the value of a setting is invalid.
     """
 
     every_us: int | None = None
@@ -56,10 +56,10 @@ class TriggerSettings:
 
 
 def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: int = 3) -> None:
-    """Warn of a trigger that no window is long enough for.
+    """Warn of a trigger that never fires, as no window is long enough for it.
 
-    An `every_us` that equals the window's duration is no mistake, as windows are decided at their
-    ends; nor is an `every_events` that equals the number of its events.
+    An `every_us` that equals the window's duration is no mistake: a decision is made at the end of
+    each window. The same holds for an `every_events` that equals the number of a window's events.
     """
     window_us = config.window_us
     window_events = config.window_events
@@ -158,7 +158,7 @@ class TriggerAttributes:
 
     @property
     def every_us(self) -> int | None:
-        """Decide also whenever so many microseconds have passed; None: never.
+        """Decide also whenever this many microseconds have passed; None: never.
 
         May change between calls.
         """
@@ -170,7 +170,7 @@ class TriggerAttributes:
 
     @property
     def every_events(self) -> int | None:
-        """Decide also whenever so many more events of the window have arrived; None: never.
+        """Decide also whenever this many more events of the window have arrived; None: never.
 
         May change between calls.
         """

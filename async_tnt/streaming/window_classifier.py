@@ -1,4 +1,4 @@
-"""WindowClassifier: any classifier, its class names, and its decisions about windows."""
+"""WindowClassifier: makes the decisions about windows, with any classifier and its class names."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TRIGGER_NAMES: dict[int, Trigger] = {
 ROWS = 256
 """Most decisions that one compiled call makes."""
 STRETCH = 500
-"""Events for which such a call is worth its time where decisions are due by time alone."""
+"""Fewest events for which one compiled call saves time where decisions are due by time alone."""
 
 
 class WindowClassifier:
@@ -117,7 +117,7 @@ class WindowClassifier:
     def check_confidence(self, confidence: float | None) -> None:
         """Refuse a level of confidence where objects are found.
 
-        Of some classifiers only the first answer shows that they find objects.
+        For some classifiers, only the first answer shows that they find objects.
         """
         _check_confidence(self._reader, confidence)
 
@@ -271,7 +271,7 @@ class WindowClassifier:
     def decide_stretch(
         self, volume: TNTVolume, triggers: np.ndarray, columns: Columns, first: int, last: int
     ) -> tuple[int, list[Decision], ValueError | None]:
-        """Add events to a volume, and decide whenever one of them makes that due.
+        """Add events to a volume, and decide whenever one of them makes a decision due.
 
         All of it is compiled code, and runs without the GIL.
 
@@ -283,8 +283,8 @@ class WindowClassifier:
 
         Returns
         -------
-        absorbed : int. The first event not added: `last`, the first past the volume's limit, or the
-            one after a decision that reached the level of confidence.
+        absorbed : int, the first event not added. It is `last`, the first event at or past the
+            volume's limit, or the event after a decision that reached the level of confidence.
         decisions : list of Decision, in order.
         error : ValueError if the next decision would have logits that are not finite, else None.
         """

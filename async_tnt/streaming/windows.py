@@ -1,9 +1,9 @@
 """The open windows of a stream, each with its own volume.
 
-They also tell whether the stream's times are likely in microseconds.
-
 Windows of a duration lie end to end, or overlap with `hop_us`. A window of `window_events` begins
 with the first event after the window before it.
+
+`TimeUnitCheck` warns if the stream's times are probably not in microseconds.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from async_tnt.volume.volume import TNTVolume
 MAX_OPEN_WINDOWS = 256
 """Most windows that may be open at once."""
 N_JUDGED = 32
-"""Windows at the beginning of a stream by which the unit of its times is judged."""
+"""Number of windows at the beginning of a stream by which the unit of its times is judged."""
 FEW_EVENTS = 2
 """Events that are too few for a window."""
 
@@ -38,11 +38,11 @@ class _Sharing(NamedTuple):
     columns: Columns
     first: int
     counts: tuple[int, int, int]
-    """Counts of the scheduler before: received, late, dropped_decided."""
+    """The scheduler's counts before these events: received, late, dropped_decided."""
     of_oldest: tuple[int, int]
-    """Counts of the oldest window before: late, dropped_decided."""
+    """The oldest window's counts before these events: late, dropped_decided."""
     received: list[int]
-    """Events that each window had received before."""
+    """Number of events that each window had received before these events."""
 
 
 class _Closing(NamedTuple):
@@ -50,7 +50,7 @@ class _Closing(NamedTuple):
 
     volume: TNTVolume
     decided_from_us: int | None
-    """What the scheduler's `_decided_from_us` becomes."""
+    """The value that the scheduler's `_decided_from_us` gets."""
 
 
 class WindowScheduler:
@@ -119,7 +119,8 @@ class WindowScheduler:
     def late_before_us(self) -> int:
         """The time before which events are late: the start of the oldest open window.
 
-        If no window is open, the start of the next one; -1 if that begins with any event.
+        If no window is open, it is the start of the next window, or -1 if the next window begins
+        with any event.
         """
         if self._open:
             return self.oldest.start_us
@@ -190,7 +191,7 @@ class WindowScheduler:
 
         If nothing was interrupted, nothing changes.
         """
-        # events that not all windows have got, and a window that is only half closed
+        # some windows may lack events that others have received; a window may be half closed
         self.share()
         if self._closing is not None and self._closing.volume not in self._open:
             self._finish_closing()
@@ -216,14 +217,15 @@ class WindowScheduler:
     def _empty_begins_with_event(self) -> bool:
         """Whether a window without events would begin where its first event is.
 
-        So does each window of `window_events`, and the first one of a stream without `start_us`.
+        It is so for each window of `window_events`, and for the first window of a stream without
+        `start_us`.
         """
         if self._window_events is not None:
             return True
         return self.start_us is None and not any(volume.n_received for volume in self.volumes)
 
     def open_due(self, t_us: int) -> bool:
-        """Open the windows that hold `t_us`, or else the next one: at least one is open then.
+        """Open the windows that hold `t_us`; if there are none, open the next window.
 
         Empty windows before them are skipped. Returns whether the oldest window has changed.
         """
@@ -239,7 +241,7 @@ class WindowScheduler:
             self._decided_from_us = None
 
         while start_us <= t_us or not self._open:
-            # before anything else: an impossible time changes nothing
+            # `open` comes first: it refuses an impossible time, and nothing has changed then.
             self._free[-1].open(start_us)
             self._open.append(self._free.pop())
             start_us += self.hop_us
@@ -259,8 +261,8 @@ class WindowScheduler:
         """Close the oldest window; its volume is empty then, and free for another window.
 
         early : close it before its end. Events that still arrive for the window are counted as
-            `dropped_decided`. A window of `window_events` gets no such events: the next one begins
-            with the next event.
+            `dropped_decided`. There are no such events for a window of `window_events`: the next
+            window begins with the next event.
         """
         volume = self._open[0]
         decided_from_us = None
@@ -328,7 +330,7 @@ def _checked_hop(hop_us: int | None, window_us: int) -> int:
 
 
 class TimeUnitCheck:
-    """A warning, given once, if most of a stream's first windows hold next to nothing.
+    """A check that warns, once, if most of a stream's first windows hold hardly any events.
 
     The times of such a stream may be in another unit than microseconds.
     """
