@@ -16,17 +16,17 @@ from async_tnt.base.messages import short
 
 
 class ParameterError(Exception):
-    """A parameter has a value that it must not have. Raised as one of the two classes below.
+    """A parameter has a value that it must not have.
 
-    The program writes the name of the parameter as its option. So an error about what a file states
-    must be of another class.
+    It is raised as a `ParameterValueError` or a `ParameterTypeError`. The program replaces the name
+    of the parameter by its option. So an error about a value in a file must be of another class.
 
     Parameters
     ----------
     name : name of the parameter.
     rule : what its value must be, such as "must be at least 1". Names of other parameters stand in
         braces: "must not be longer than {window_us}".
-    got : the value that came, as text, see `short`; None where the rule says it all.
+    got : the value that was passed, as text, see `short`; None where the rule needs no value.
 
     Examples
     --------
@@ -44,7 +44,7 @@ class ParameterError(Exception):
         self.got = got
 
     def text(self, written: Mapping[str, str] | None = None) -> str:
-        """The message, in which parameters are named as `written` says, or else in backticks."""
+        """The message. Parameters have the names that `written` gives them, or else backticks."""
         known = written or {}
 
         def name_of(match: re.Match[str]) -> str:
@@ -69,7 +69,7 @@ class ParameterTypeError(ParameterError, TypeError):
 
 
 class ParameterWarning(ParameterError, UserWarning):
-    """The value of a parameter is allowed, but hardly meant."""
+    """The value of a parameter is allowed, but is probably a mistake."""
 
 
 def is_whole(value: Any) -> bool:
@@ -85,11 +85,11 @@ def is_whole(value: Any) -> bool:
 
 
 def real_number(name: str, value: Any) -> float:
-    """A real number of any type as a float; one that float cannot hold becomes infinite.
+    """A real number of any type as a float; a number too large for a float becomes infinite.
 
     Raises
     ------
-    ParameterTypeError : not a number. True and False are not.
+    ParameterTypeError : `value` is not a number. True and False are not numbers.
     """
     if not isinstance(value, Real) or isinstance(value, bool):
         raise ParameterTypeError(name, "must be a number", short(value))
@@ -104,8 +104,8 @@ def whole_number(name: str, value: Any, low: int, end: int, rule: str = "") -> i
 
     Raises
     ------
-    ParameterTypeError : not a whole number.
-    ParameterValueError : out of the range.
+    ParameterTypeError : `value` is not a whole number.
+    ParameterValueError : `value` is out of the range.
     """
     if not is_whole(value):
         raise ParameterTypeError(name, "must be a whole number", short(value))
@@ -128,20 +128,20 @@ def checked_time(name: str, t_us: Any) -> int:
 
 
 def plain_array(name: str, values: Any) -> np.ndarray:
-    """`np.asarray` that refuses masked arrays.
+    """The values as `np.asarray` returns them; masked arrays are refused.
 
     Raises
     ------
-    ParameterTypeError : a masked array, whose mask `np.asarray` would silently drop.
+    ParameterTypeError : `values` is a masked array. `np.asarray` would silently drop its mask.
     """
-    # a masked array is of a subclass
+    # the class of masked arrays is a subclass
     if type(values) is not np.ndarray:
         refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
     return np.asarray(values)
 
 
 def refuse_mask(name: str, values: Any, advice: str) -> None:
-    """Raise a ParameterTypeError for a masked array, even for one that masks nothing.
+    """Raise a ParameterTypeError for a masked array, even if it masks nothing.
 
     `advice` says what to pass instead.
     """

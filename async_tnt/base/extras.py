@@ -1,4 +1,4 @@
-"""Optional packages that are missing are named with the extra that brings them."""
+"""Error messages about missing optional packages, which name the extra that installs them."""
 
 from __future__ import annotations
 

@@ -20,9 +20,9 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 def user_path(path: str | os.PathLike[str]) -> Path:
-    """A path with `~` and `~name` replaced by home folders; unchanged if there is no such user.
+    """A path with `~` or `~name` replaced by a home folder; unchanged if there is no such user.
 
-    A shell replaces them only in words that begin with `~`, and Python never does.
+    A shell replaces `~` only in words that begin with it, and Python never does.
     """
     return Path(os.path.expanduser(path))
 
@@ -46,14 +46,15 @@ def refuse_git_lfs(path: Path) -> None:
 
 
 def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
-    """Open a regular file, or a link to one, to read its bytes.
+    """Open a regular file, or a link to a regular file, to read its bytes.
 
-    Other kinds are refused: a pipe without a writer would wait forever, and a device may never end.
+    Other kinds of files are refused: a read from a pipe without a writer would wait forever, and a
+    device may never end.
 
     Raises
     ------
-    OSError : the path is something else, such as a pipe or a device; is missing; or is not
-        readable.
+    OSError : the path is not a regular file, but a pipe or a device, for example; it is missing; or
+        it is not readable.
     """
     mode = os.stat(path).st_mode
     # `open` itself refuses folders
@@ -71,11 +72,11 @@ def read_regular(path: str | os.PathLike[str]) -> bytes:
 def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     """The file that would be written, at the end of a symbolic link.
 
-    Refuses, before any work, what `Replacement` could not replace.
+    A file that `Replacement` could not replace is refused here, before any work.
 
     Parameters
     ----------
-    suffixes : `path` must have one of these, in upper or lower case; empty: any.
+    suffixes : suffixes that `path` may have, in upper or lower case; empty: any suffix.
 
     Raises
     ------
@@ -100,8 +101,8 @@ def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
 
     Parameters
     ----------
-    paths : files that are written together. If one of them exists, the first one must be ours; then
-        all are taken for ours.
+    paths : files that are written together. If one of them exists, the first file must be ours;
+        then all files are taken for ours.
     marks : texts that the first file contains if it is ours.
 
     Raises
@@ -135,7 +136,7 @@ def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
 
 
 class Replacement:
-    """A new file that replaces another one when it is complete; until then it is NAME.part.
+    """A new file that replaces an old file when it is complete; until then it is NAME.part.
 
     The permissions of the old file stay. Parameters and errors are those of `check_writable`.
 
@@ -149,14 +150,14 @@ class Replacement:
         self.part = _part_of(self._target)
         self.part.unlink(missing_ok=True)  # left by a killed process
 
-        # What replaces a private file is private from the start. O_EXCL does not follow a link that
-        # somebody placed there meanwhile.
+        # A file that replaces a private file is private from the start. O_EXCL does not follow a
+        # link that somebody placed there meanwhile.
         mode = 0o600 if self._target.exists() else 0o666
         os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
 
     def complete(self) -> None:
         """Replace the file."""
-        # suppressed: there is nothing to replace, or the file system has no permissions
+        # The error is suppressed: there is no old file, or the file system has no permissions.
         with contextlib.suppress(OSError):
             shutil.copymode(self._target, self.part)
         self.part.replace(self._target)
@@ -168,7 +169,7 @@ class Replacement:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a path to write, NAME.part: after the block that file replaces `path`.
+    """Yield the path of a file to write, NAME.part. After the block this file replaces `path`.
 
     If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and
     perhaps NAME.part.
@@ -184,7 +185,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name this file in an OSError of the block that names none, such as that of a full disk."""
+    """Add this file's name to an OSError of the block that names no file, such as a full disk."""
     try:
         yield
     except OSError as error:
@@ -200,14 +201,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 def open_locked(path: Path, busy: str) -> IO[bytes]:
-    """Open a file, and lock it until it is closed or this process ends; make it if it is missing.
+    """Open a file, made if it is missing, and lock it until it is closed or this process ends.
 
     Where the system has no such locks, nothing is locked.
 
     Raises
     ------
-    BlockingIOError : with the text `busy`: another process has locked the file, or has just
-        replaced or deleted it.
+    BlockingIOError : another process has locked the file, or has just replaced or deleted it. The
+        message is `busy`.
     """
     _check_regular(path, follow_symlinks=False)
     file = path.open("a+b")

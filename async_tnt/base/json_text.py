@@ -1,4 +1,4 @@
-"""JSON from outside: read without surprises, refused in one line."""
+"""A strict reader of JSON from outside, which refuses a text with a message of one line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from async_tnt.base.messages import one_line, short
 
 MAX_JSON_DEPTH = 100
-"""Most lists and objects within each other. Python's own reader and writer of JSON end in a
+"""Most lists and objects within each other. Python's own reader and writer of JSON raise a
 RecursionError at some thousand."""
 
 
@@ -46,7 +46,7 @@ _TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
 
 
 class _JsonError(ValueError):
-    """A fault that `_json_object` has found, in our words."""
+    """The error of `_json_object`, with a message of ours."""
 
 
 def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

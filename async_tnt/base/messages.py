@@ -9,7 +9,7 @@ import numpy as np
 
 
 def one_line(error: Exception | str, limit: int = 300) -> str:
-    """Text from a library or a file for a message: on one line, cut after `limit` characters."""
+    """A text from a library or a file, for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= limit else text[:limit] + " ..."
 
@@ -20,7 +20,7 @@ _short.maxother = 120
 
 
 def short(value: Any) -> str:
-    """The `repr` of a value for a message: on one line, a long one without its middle."""
+    """The `repr` of a value, for a message: on one line, and without its middle if it is long."""
     plain = value.item() if isinstance(value, np.generic) else value
     return " ".join(_short.repr(plain).split())
 

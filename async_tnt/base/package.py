@@ -1,4 +1,4 @@
-"""The version, names that are imported when they are first used, and the machine's cores.
+"""The package's version, its names that are imported when first used, and the machine's cores.
 
 This module imports nothing, so that programs start at once.
 """
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 def lazy_names(
     package: "dict[str, Any]", modules: "dict[str, str]", instead: "dict[str, str] | None" = None
 ) -> "tuple[Callable, Callable]":
-    """`__getattr__` and `__dir__` of a package.
+    """The functions `__getattr__` and `__dir__` of a package, which import names when first used.
 
         __getattr__, __dir__ = lazy_names(globals(), {"module": "Name other_name", ...})
 
-    Type checkers do not see through it. For them the package imports the same names
+    Type checkers do not know these names. For them the package imports the same names
     `if TYPE_CHECKING`, and lists them in `__all__`.
 
     Parameters
     ----------
     package : the package's `globals()`.
     modules : submodule -> its public names, separated by spaces.
-    instead : public name of the release before -> what to write instead of it. The old name is an
-        AttributeError that says so.
+    instead : public name of the release before -> text to write instead of it. The old name raises
+        an AttributeError that says so.
     """
     own_name = package["__name__"]
     module_of = {name: module for module, names in modules.items() for name in names.split()}
@@ -58,7 +58,7 @@ def lazy_names(
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """The number of cores that this process may use."""
     import os
 
     if hasattr(os, "sched_getaffinity"):

@@ -11,20 +11,20 @@ from typing import TextIO
 FIRST_S = 1.0
 """Seconds until the bar appears."""
 EVERY_S = 0.1
-"""Seconds between its updates."""
+"""Seconds between two updates of the bar."""
 
 
 class Bar(contextlib.AbstractContextManager["Bar"]):
     """A line that shows how much of `total` is done.
 
-    A context manager: it clears its line at the end, even after an error.
+    It is a context manager, and clears its line at the end, even after an error.
 
     Parameters
     ----------
     total : units of work; 0 if unknown.
-    title : what is being done.
+    title : name of the work, such as "checking".
     file : a terminal. None shows nothing, so that `Bar` itself may stand in place of `progress`.
-    done : units that were done before. They do not count towards the rate.
+    done : units of work that were done before. They do not count towards the rate.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Bar(contextlib.AbstractContextManager["Bar"]):
         self._width = 0
 
     def update(self, n: int = 1, title: str | None = None) -> None:
-        """`n` more units are done; `title`, if given, replaces the title."""
+        """Note that `n` more units are done; `title`, if given, replaces the title."""
         self.done += n
         if title is not None:
             self.title = title
@@ -77,7 +77,10 @@ class Bar(contextlib.AbstractContextManager["Bar"]):
 
 
 def progress(total: int, title: str, *, done: int = 0) -> Bar:
-    """`with progress(n, "checking") as bar: ... bar.update()`, on stderr if that is a terminal."""
+    """A bar on stderr if that is a terminal, else a bar that shows nothing.
+
+    It is used as in `with progress(n, "checking") as bar: ... bar.update()`.
+    """
     is_terminal = sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
     return Bar(total, title, sys.stderr if is_terminal else None, done=done)
 

@@ -1,4 +1,4 @@
-"""Calls on one object that must not overlap."""
+"""A guard that refuses a call on an object while another call on it is running."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class Running:
-    """Whether a call is running on an object. Errors call the object `name`.
+    """A mark that says whether a call is running on an object. Errors call the object `name`.
 
-    A copy of it says that no call is running, and so does what is loaded from a pickle.
+    A copy of the mark says that no call is running, and so does a mark loaded from a pickle.
 
     With the GIL, test and assignment are one step: CPython switches threads and handles signals
-    only at calls, at the start of functions and where loops jump back. So this is as safe as a
+    only at calls, at the start of functions and where loops jump back. So the mark is as safe as a
     lock, and Ctrl-C does not leave it set. Without the GIL, two calls that begin within some
     nanoseconds of each other can both pass.
     """
@@ -33,7 +33,7 @@ class Running:
         return Running, (self.name,)
 
     def begin(self) -> None:
-        """Note that a call begins; a RuntimeError if another one is running.
+        """Note that a call begins; raise a RuntimeError if another call is running.
 
         The caller continues with `try`, and sets `now = False` in its `finally`.
         """
@@ -51,7 +51,7 @@ class Running:
 
 
 def one_at_a_time(method: Method) -> Method:
-    """Refuse a call of this method while another decorated call runs on the same object.
+    """A method that refuses a call while another decorated method runs on the same object.
 
     The object has a `Running` as its attribute `_running`. The decorator costs 0.2 us: methods that
     take about a microsecond write these lines themselves.

@@ -1,8 +1,8 @@
 """Worker processes, which call functions for this process and may crash or hang without harm to it.
 
-They are started by `subprocess`, not by `multiprocessing`: that would import the user's script
-again, which then needs the line `if __name__ == "__main__":`; and a daemonic process, such as a
-worker of torch's DataLoader, could not start any.
+Workers are started by `subprocess`, not by `multiprocessing`, for two reasons. `multiprocessing`
+would import the user's script again, which then needs the line `if __name__ == "__main__":`. And
+with it a daemonic process, such as a worker of torch's DataLoader, could not start any worker.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import Any
 
 MAX_ANSWER_BYTES = 1 << 30
-"""Bytes that an answer may have at most: a process that is about to crash may send anything."""
+"""Most bytes of an answer: a process that is about to crash may send anything."""
 
 
 class WorkerEnded(ChildProcessError):
@@ -35,8 +35,8 @@ class Worker:
 
     Attributes
     ----------
-    pipe : ready, for `multiprocessing.connection.wait`, when there is an answer or the process has
-        ended.
+    pipe : a connection for `multiprocessing.connection.wait`. It is ready when there is an answer,
+        or when the process has ended.
     """
 
     def __init__(self) -> None:
@@ -65,17 +65,17 @@ class Worker:
     def submit(self, function: Callable[..., Any], *args: Any, limit_s: float = 0.0) -> None:
         """Call a function after the earlier calls have returned.
 
-        A call that takes more than `limit_s` seconds ends the process; 0: no limit.
+        If the call takes more than `limit_s` seconds, the process ends; 0: no limit.
         """
         call = pickle.dumps((function, args, limit_s))
-        # suppressed: the process has ended, and `result` raises
+        # The error is suppressed: it means that the process has ended, and `result` raises that.
         with contextlib.suppress(OSError):
             self.pipe.send_bytes(call)
 
     def result(self, limit_s: float | None = None) -> Any:
         """The value that the oldest call returned.
 
-        limit_s : seconds to wait for it; None: without a limit.
+        limit_s : seconds to wait for the value; None: without a limit.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class Worker:
 
 def serve() -> None:
     """Answer calls in a worker; they come through its standard input, a pipe in both directions."""
-    # moved away from standard input, so that no called function reads it
+    # the pipe is moved away from standard input, so that no called function reads from it
     fd = os.dup(0)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if sys.platform == "win32":
@@ -144,7 +144,7 @@ def _answer(call: bytes) -> bytes:
 
 
 def _sendable(error: BaseException) -> Exception:
-    """An error itself if a pickle can hold it, else a RuntimeError with its text.
+    """The error itself if a pickle can hold it, else a RuntimeError with its text.
 
     An error that cannot be sent would look as if the worker had ended.
     """

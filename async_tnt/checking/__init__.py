@@ -1,1 +1,1 @@
-"""Whether the stream agrees with the batch reference (`async-tnt check`)."""
+"""The check that the stream agrees with the batch reference (`async-tnt check`)."""

@@ -1,19 +1,19 @@
-"""Compare the stream with the batch reference on one recording, as the promise of equality says.
+"""The comparison of the stream with the batch reference on one recording, by four promises.
 
 (a) However the stream was cut into packets, the streamed volume is the same, bit for bit. It is
     made of the events that the reference has in that window.
-(b) At every prefix the volume equals that of the batch reference to 1e-6 of its largest cell, and
-    the landmark to 1e-9 pixels.
-(c) Logits equal the reference's to 1e-4 (of the largest one where that exceeds 1), and with them
-    the class, except for ties.
-(d) A decision after every event, for which only what changed is computed, has the bits of the whole
-    network.
+(b) After every prefix of a window's events, the volume equals the reference's volume to 1e-6 of its
+    largest cell, and the landmark equals the reference's landmark to 1e-9 pixels.
+(c) The logits equal the reference's logits to 1e-4, or to 1e-4 of the largest logit where that
+    exceeds 1. So the class is the same, too, except for ties.
+(d) A decision after every event has the same bits as the answer of the whole network, though only
+    the changed values are computed.
 
 There are two exceptions. (b): an event may lie where the tolerance of the border ends, 1e-9 pixels
 beyond it; rounding decides then whether it is kept. (d): the caller may switch
 `torch.set_flush_denormal` between two decisions.
 
-Needs torch (extra `reference`), which is imported only when something is checked.
+The comparison needs torch (extra `reference`), which is imported only when something is checked.
 """
 
 from __future__ import annotations
@@ -35,15 +35,17 @@ from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
 PACKET_SIZES = (1, 2, 7, 100, 0)
-"""Events in a packet; 0: everything at once."""
+"""Numbers of events in a packet that are compared; 0: all events at once."""
 VOLUME_BOUND = 1e-6
 """Largest difference of two volumes, as a share of the largest cell."""
 CANCELLED = 1e-9
-"""Events. Where all cells are below it, opposite events cancelled and left their rounding."""
+"""Value of a cell, in events. If all cells are below it, opposite events have cancelled each other,
+and only their rounding is left."""
 LANDMARK_BOUND = 1e-9
 """Largest distance of two landmarks, in grid pixels."""
 REGRESSED_LANDMARK_BOUND = 1e-4
-"""The same for landmark `regressor`, which comes from float32 convolutions."""
+"""Largest distance of two landmarks, in grid pixels, for the landmark `regressor`. That landmark
+comes from float32 convolutions."""
 LOGIT_BOUND = 1e-4
 """Largest difference of two logits."""
 
@@ -65,7 +67,7 @@ class Comparison:
     def include(self, other: Comparison) -> None:
         """Merge the comparisons of another recording."""
         self.n += other.n
-        # a nan must stay, and fail; and it is not below any number
+        # a nan must stay, so that the comparison fails; a nan is not below any number
         if not math.isnan(self.worst) and not other.worst <= self.worst:
             self.worst = other.worst
 
@@ -100,14 +102,15 @@ def check_recording(
     start_us: int | None = None,
     on_progress: Callable[[], None] = lambda: None,
 ) -> list[Comparison]:
-    """Check all promises on one recording.
+    """The comparisons of all promises on one recording.
 
     Parameters
     ----------
     events : structured array of `EVENT_DTYPE`.
-    model : its configuration is checked under every landmark, and its networks.
-    prefixes : how many prefixes of each window are compared with the reference, evenly spread, the
-        last one included. None: all of them, which takes minutes for some thousand events.
+    model : the model. Its networks are checked, and its configuration under every landmark.
+    prefixes : number of prefixes of each window that are compared with the reference. They are
+        evenly spread, and the last prefix is one of them. None: all prefixes, which takes minutes
+        for some thousand events.
     start_us : start of the first window; the first event by default.
     on_progress : called after every configuration.
     """
@@ -131,7 +134,7 @@ def _check_packets(
     regressor: Regressor | None,
     closed: list[tuple[int, bytes]],
 ) -> Comparison:
-    """Check the first half of promise (a): volumes do not depend on packets.
+    """The comparison of the first half of promise (a): volumes do not depend on packets.
 
     closed : the `_closed_windows` of the first packet size.
     """
@@ -153,7 +156,9 @@ def _check_volumes(
     start_us: int | None,
     closed: list[tuple[int, bytes]],
 ) -> list[Comparison]:
-    """Check the second half of promise (a), and promise (b): windows, volumes and landmarks.
+    """The comparisons of the second half of promise (a), and of promise (b).
+
+    They concern windows, volumes and landmarks.
 
     closed : the `_closed_windows` of a stream.
     """
@@ -197,7 +202,10 @@ def _check_volumes(
 def _check_network(
     events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None
 ) -> list[Comparison]:
-    """Promises (c) and (d): a decision after each event, compared where prefixes end."""
+    """The comparisons of promises (c) and (d).
+
+    There is a decision after each event. Decisions are compared where prefixes end.
+    """
     from async_tnt.checking.reference import reference_pipeline, reference_windows
 
     repeated = Comparison("bits that depend on earlier decisions", "the model", 0.0)
@@ -208,8 +216,8 @@ def _check_network(
     # One network for all windows: it must keep nothing of the window before.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
-    # with a landmark that is found at each read, a decision after each event is as slow as the
-    # window is long
+    # If the landmark is found at each read, the time of a decision grows with the window: then
+    # there is no decision after each event.
     every_events = None if config.needs_replay else 1
     for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
         first_us: int | None = start
@@ -237,7 +245,7 @@ def _check_network(
 
 
 def _difference(volume: np.ndarray, reference: np.ndarray) -> float:
-    """The largest difference, as a share of the largest cell."""
+    """The largest difference of two volumes, as a share of the largest cell."""
     largest = max(float(np.abs(reference).max()), float(np.abs(volume).max()), CANCELLED)
     return float(np.abs(volume - reference).max()) / largest
 
@@ -253,9 +261,10 @@ def _closed_windows(
     start_us: int | None,
     regressor: Regressor | None = None,
 ) -> list[tuple[int, bytes]]:
-    """The start of each window with events, and the digest of its volume, of one stream.
+    """The start of each window with events in one stream, and the digest of the window's volume.
 
-    packet_size : events in a packet. 0: all at once. 1: event by event, as Python's own integers.
+    packet_size : events in a packet. 0: all events at once. 1: single events of Python's own
+        integers.
     """
     digests: list[bytes] = []
 

@@ -35,8 +35,8 @@ def reference_volume(
 
     Parameters
     ----------
-    landmark : (x, y) in grid pixels instead of the configuration's landmark; needed where that is
-        "regressor".
+    landmark : (x, y) in grid pixels, used instead of the configuration's landmark. It is needed if
+        the configuration's landmark is "regressor".
     """
     columns = [events[field] for field in "txyp"]
     settings = _window(events, config, start_us)
@@ -54,7 +54,7 @@ def reference_volume(
 
 
 def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> Landmark:
-    """The landmark of the newest event, in grid pixels; not for landmark "regressor"."""
+    """The landmark of the newest event, in grid pixels, for all landmarks but "regressor"."""
     window = _window(events, config, start_us)
     landmarks = tnt_reference.landmark(
         config.landmark, events["t"], events["x"], events["y"], **window
@@ -64,7 +64,7 @@ def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> 
 
 
 def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
-    """The whole model in torch: a window's events and its start -> logits."""
+    """The whole model in torch: a function from a window's events and its start to logits."""
     config = model.config
     settings = {name: getattr(config, name) for name in PIPELINE_SETTINGS}
     pipeline = tnt_reference.Pipeline(
