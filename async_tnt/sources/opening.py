@@ -40,9 +40,10 @@ def open_source(
 
     Raises
     ------
-    ValueError : the name is not that of a source, or the file is damaged; the message says which.
+    ValueError : `source` is not the name of a source, or the file is damaged; the message says
+        which of the two.
     OSError : the file is missing, the address is taken, or no camera is connected.
-    ImportError : a camera without the extra `cameras`.
+    ImportError : `source` is a camera, and the extra `cameras` is not installed.
 
     Example
     -------

@@ -1,4 +1,4 @@
-"""What a recording holds. One pass over its file finds its times, another one all else."""
+"""The summary of a recording. One pass over its file finds its times, and another pass the rest."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class RecordingSummary:
     Attributes
     ----------
     recording, format, bytes : the file, the name of its format, and its size.
-    sensor : (width, height) as the file states it or the caller does; None: neither does.
-    sensor_stated : whether the file, or its format, states it.
+    sensor : (width, height) as the file or the caller states it; None if neither does.
+    sensor_stated : whether the file, or its format, states the sensor.
     extent : the smallest (width, height) that holds all events except strays, see `likely_side`;
         (0, 0) without events.
     reach : the smallest (width, height) that holds all events; (0, 0) without events.
     off_sensor : number of events off the sensor; these are left out of all other numbers.
     events : number of events.
-    on : number of these that are ON.
-    unsorted : number of these that are earlier than the event before them in the file.
+    on : number of ON events.
+    unsorted : number of events that are earlier than the event before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
     events_a_second : rate in each of `N_PARTS` equal parts of the recording; empty without events.
     hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixels/hot_pixels.py`; empty
@@ -67,7 +67,7 @@ class RecordingSummary:
 def summarize(
     path: str | os.PathLike[str], sensor: Sensor | None = None, **reading: Any
 ) -> RecordingSummary:
-    """Read a recording, in little memory.
+    """The summary of a recording, made in little memory.
 
     Parameters
     ----------

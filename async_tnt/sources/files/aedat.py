@@ -4,8 +4,8 @@ All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that 
 ended by \\r\\n.
 
 2.0   After the header: events, big-endian, an address and a time in microseconds of 32 bits each.
-      What an address means depends on the camera, which `# AEChip:` names. A file that names no
-      camera is of a DVS128, or of some part of one.
+      The meaning of an address depends on the camera, which `# AEChip:` names. A file that names no
+      camera comes from a DVS128, or from a part of the sensor of a DVS128.
 
           DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
@@ -68,7 +68,7 @@ DAVIS_SIZES = {
     for name, size in SENSORS.items()
     if name.startswith("DAVIS") and size != SENSORS["DVS128"]
 }
-"""(width, height) -> the DAVIS that has as many pixels; 128x128 are a DVS128's."""
+"""(width, height) -> the DAVIS with this sensor; a sensor of 128x128 belongs to a DVS128."""
 
 EVENT_BYTES = 8
 """Bytes of a pixel's event, in both versions."""
@@ -189,11 +189,11 @@ def _pairs(data: bytes, word: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _skip(file: BinaryIO, n_bytes: int) -> None:
-    """Go beyond the events of a packet.
+    """Skip the events of a packet.
 
     Raises
     ------
-    CorruptData : the file ends before they do.
+    CorruptData : the file ends before the events do.
     """
     start = file.tell()
     end = file.seek(0, 2)
@@ -263,7 +263,7 @@ def _is_comment(line: bytes) -> bool:
 
 
 def _camera(path: Path, names: list[str]) -> str:
-    """The first of the named cameras that is known, "" if there are no names.
+    """The first of these names that is the name of a known camera; "" if there are no names.
 
     A name may be as long as `eu.seebetter.ini.chips.davis.DAVIS240C`.
 

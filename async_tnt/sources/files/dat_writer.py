@@ -22,13 +22,13 @@ from async_tnt.sources.files.prophesee import (
 from async_tnt.volume.sensor import Sensor
 
 LONGEST_STEP_US = DAT_PERIOD_US // 2 - 1
-"""The most microseconds from an event to the next, forward or back: readers take a longer step for
-a wrap of the clock."""
+"""Longest step in microseconds from an event to the next event, forward or back. Readers would take
+a longer step for a wrap of the clock."""
 
 
 @dataclass
 class DatFile:
-    """A file that was written."""
+    """A DAT file that was written."""
 
     path: Path
     first_us: int
@@ -36,7 +36,7 @@ class DatFile:
     events: int = 0
     """Number of events in the file."""
     on: int = 0
-    """Number of these that have polarity 1."""
+    """Number of events in the file that have polarity 1."""
 
 
 class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
@@ -44,9 +44,9 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
 
     The end of a `with` block completes the last one.
 
-    DAT's times have 32 bits. An event begins a new file where its time could not be read back: a
-    time before the first of the file, or 71.6 minutes after it, or 35.8 minutes before or after the
-    previous event.
+    DAT's times have 32 bits. An event begins a new file if its time could not be read back. Such a
+    time is before the first time of the file, or 71.6 minutes or more after the first time, or 35.8
+    minutes or more before or after the previous event.
 
     When `write` returns, the events are in the file, whatever ends the process. No file that holds
     an event is deleted.
@@ -54,7 +54,8 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
     Parameters
     ----------
     sensor : (width, height) in pixels, of at most `DAT_SIDE`.
-    create : opens a new file for each, unbuffered. The first is made when the first event comes.
+    create : function that opens a new, unbuffered file; called for each file. The first file is
+        made when the first event comes.
     completed : called with each file that holds events, once it is closed.
 
     Attributes

@@ -45,12 +45,12 @@ TEXTS = (".csv", ".txt")
 
 @dataclass(frozen=True)
 class LabelledRecording:
-    """A recording of one class, or a part of one.
+    """A recording of one class, or the part of a recording that shows one class.
 
     Parameters
     ----------
-    path : path of its file.
-    between_us : (start, end): the events with start <= t < end; None: all.
+    path : path of the recording's file.
+    between_us : (start, end): the events with start <= t < end belong to it; None: all events.
     """
 
     path: Path
@@ -96,9 +96,9 @@ def find_recordings(
     folder : holds a folder for each class, with the name of the class, or sessions; `~` is the home
         folder. Hidden files and folders (".cache"), files that are not recordings, and deeper
         folders are ignored.
-    part : such as "Train". The recordings are in `folder/part` if that exists and has any. Of
-        sessions, only those that the list for this part names are found; without this list, those
-        that the other part's list does not name.
+    part : part of the data set, such as "Train". The recordings are those in `folder/part`, if that
+        folder exists and has recordings. Sessions are found only if the list for this part names
+        them. Without this list, sessions are found unless the other part's list names them.
 
     Returns
     -------
@@ -107,9 +107,9 @@ def find_recordings(
 
     Raises
     ------
-    FileNotFoundError, NotADirectoryError : no such folder.
-    ValueError : neither class folders nor sessions in it, or both; a session without a table; a
-        table in a class folder, or a table that cannot be read.
+    FileNotFoundError, NotADirectoryError : there is no such folder.
+    ValueError : the folder has neither class folders nor sessions, or has both; a session has no
+        table; a table is in a class folder, or cannot be read.
 
     Examples
     --------
@@ -207,7 +207,7 @@ def recordings_under(folder: Path) -> list[Path]:
 
     Raises
     ------
-    ValueError : there are none.
+    ValueError : there are no recordings.
     OSError : a folder cannot be read.
     """
     found = []
@@ -257,7 +257,8 @@ def _sessions(folder: Path) -> dict[Path, Path]:
 def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: list[Path]) -> None:
     """Refuse recordings or tables beside the sessions, and recordings in class folders.
 
-    Texts of any kind may be there. With a list of sessions, so may recordings without a table.
+    Texts of any kind are allowed. With a list of sessions, recordings without a table are allowed,
+    too.
     """
     if not any((folder / file).is_file() for file in LISTS.values()):
         for path in _unlabelled(folder):
@@ -349,7 +350,7 @@ def _times_in(where: str, row: Mapping[str, str]) -> tuple[int, int]:
 
     Raises
     ------
-    ValueError : these are no times, or the row has no class.
+    ValueError : start and end are no times, or the row has no class.
     """
     try:
         start_us = int(row["start"])
@@ -369,9 +370,9 @@ def _in_order(label: str) -> str:
 
 
 def check_once(path: Path, wanted: Iterable[str | None], names: Sequence[str]) -> None:
-    """Refuse a table in which one of the wanted columns has a name that another column has, too.
+    """Refuse a table in which a wanted column has the same name as another column.
 
-    Python's reader of CSV would silently use the last of them.
+    Python's reader of CSV would silently use the last column of this name.
     """
     for name in wanted:
         if name is not None and names.count(name) > 1:
@@ -390,7 +391,7 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int,
 
     Raises
     ------
-    ValueError : the table is not a CSV file, or a column is missing or there twice.
+    ValueError : the table is not a CSV file, a column is missing, or a column occurs twice.
     """
     refuse_git_lfs(path)
     try:

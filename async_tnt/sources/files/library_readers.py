@@ -68,7 +68,7 @@ _blocks: Iterator[Any] = iter(())
 
 
 def start(read: Reader, path: str) -> Any:
-    """Start to read a file, and return what comes first, its sensor.
+    """Start to read a file, and return its sensor, the first value that the reader yields.
 
     `next_block` then returns its events.
     """
@@ -79,9 +79,9 @@ def start(read: Reader, path: str) -> Any:
 
 
 def head_of(read: Reader, path: str) -> tuple[Any, Any]:
-    """What comes first, a file's sensor, and the first block, None if there is none.
+    """A file's sensor, and its first block of events, or None if it has no events.
 
-    Then the file is closed: HDF5 lets nobody write a file that is open.
+    The file is closed again: HDF5 lets nobody write a file that is open.
     """
     global _blocks
     head = start(read, path)
@@ -161,8 +161,8 @@ def _es_columns(packet: np.ndarray, event_type: str, height: int) -> list[np.nda
 def _es_off_sensor(es: Any, path: str, n_read: int, height: int) -> Iterator[Any]:
     """The columns after the first `n_read` events of a file with events off its sensor.
 
-    faery reads such a file up to the first of them only. It reads a copy whose header states the
-    largest sensor.
+    faery reads such a file only up to the first event off the sensor. So faery is given a copy of
+    the file whose header states the largest sensor.
     """
     import shutil
     from tempfile import TemporaryDirectory
@@ -210,7 +210,8 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
 
     Raises
     ------
-    ValueError : there are none, or they are not what they should be.
+    ValueError : the file has no data sets of events, or they have another type or length than they
+        should.
     """
     what = "events/t, x, y, p"
     sets = [_find(h5py, file, f"events/{name}") for name in COLUMNS]
@@ -236,7 +237,7 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
 
 
 def _check_stored(h5py: Any, what: str, sets: list[Any]) -> None:
-    """Refuse what is no data set, or has its values in other files."""
+    """Refuse an object that is no data set, or a data set with its values in other files."""
     for data in sets:
         if not isinstance(data, h5py.Dataset):
             raise ValueError(
@@ -277,7 +278,7 @@ def _offset_us(offset: Any) -> int:
 
 
 def _find(h5py: Any, file: Any, path: str) -> Any:
-    """What is at a path, None if nothing is. HDF5 itself would follow links to other files."""
+    """The object at a path, or None. HDF5 itself would follow links to other files."""
     found = file
     for name in path.split("/"):
         link = found.get(name, getlink=True) if isinstance(found, h5py.Group) else None

@@ -41,10 +41,10 @@ OVERFLOW_US = 1 << 13
 
 
 def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
-    """Read one recording in N-MNIST's format.
+    """All events of one recording in N-MNIST's format.
 
-    The format has no checksum. Damage that can be recognised: a file that ends inside an event, and
-    a time earlier than the one before it.
+    The format has no checksum. Two kinds of damage can be recognised: the file ends inside an
+    event, or a time is earlier than the time before it.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
 
     Raises
     ------
-    ValueError : damage.
-    OSError : missing, a folder, or not readable.
+    ValueError : the file is damaged.
+    OSError : the file is missing, is a folder, or is not readable.
     """
     path = user_path(path)
     refuse_git_lfs(path)

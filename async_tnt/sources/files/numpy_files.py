@@ -59,7 +59,7 @@ MAX_NPZ_BYTES = 1 << 31
 
 
 def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
-    """Read a header, from the first byte of a file up to the array.
+    """The array that a header describes. The header is read from a file's first byte to the array.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
-    """Map the array of a `.npy` file into memory, read-only.
+    """The array of a `.npy` file, mapped into memory, read-only.
 
     Raises
     ------
@@ -148,7 +148,8 @@ class NpySource(Source):
         return valid_blocks(map(self._block, range(0, self._n_events, BLOCK_EVENTS)))
 
     def _block(self, start: int) -> Four:
-        # mapped again for each block: pages that were read stay in memory as long as their map does
+        # The file is mapped again for each block: pages that were read stay in memory as long as
+        # their map does.
         try:
             return _columns(self._order, map_npy(self.path)[start : start + BLOCK_EVENTS])
         except ValueError as error:
@@ -284,7 +285,7 @@ def _in_order(table: np.ndarray, order: str | None) -> Four:
 
     Raises
     ------
-    SourceError : no order is stated, and the numbers look like another one.
+    SourceError : no order is stated, and the numbers look like another order than t, x, y, p.
     """
     usual = "txyp"
     likely = likely_order(table, usual) if order is None else usual

@@ -35,7 +35,7 @@ class SensorCheck:
 
     Parameters
     ----------
-    sensor : (width, height) in pixels; None: unknown.
+    sensor : (width, height) in pixels; None if it is unknown.
 
     Attributes
     ----------

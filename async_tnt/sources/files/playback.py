@@ -14,7 +14,7 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.volume.events import ANY_SENSOR, as_events
 
 LONGEST_S = 1e6
-"""Seconds of the longest sleep: the system refuses some centuries."""
+"""Longest sleep in seconds: the system refuses a sleep of some centuries."""
 
 
 def replay(
@@ -68,7 +68,7 @@ def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.
         packet = given if _has_fields(given) else as_events(given, ANY_SENSOR)
         if len(packet) == 0:
             continue
-        # an event out of order is due together with the newest before it
+        # an event out of order is due together with the newest event before it
         due_us = np.maximum.accumulate(packet["t"].astype(np.int64))
         if newest_us is not None:
             np.maximum(due_us, newest_us, out=due_us)

@@ -116,9 +116,9 @@ class Header:
 
     @property
     def t0_us(self) -> int:
-        """What faery subtracted from the times when it wrote the file.
+        """The time in microseconds that faery subtracted from all times when it wrote the file.
 
-        0 if the header does not state it.
+        It is 0 if the header does not state it.
         """
         t0 = self.fields.get("t0", "0")
         if not t0.isdecimal() or len(t0) > 18:
@@ -233,7 +233,7 @@ def decoded_words(
     Parameters
     ----------
     decode : one of the kernels in `kernels/sources/evt.py`.
-    state : what these words depend on, `INITIAL` before the first; updated in place.
+    state : state of the decoder; `INITIAL` before the first words; updated in place.
     columns : t, x, y, p, for the kernel to write to.
     """
     done = 0
@@ -248,7 +248,7 @@ def refuse_unplaced(state: np.ndarray, n_events: int) -> None:
 
     Raises
     ------
-    CorruptData : they are.
+    CorruptData : there were events, but none with a time and a row.
     """
     if state[UNPLACED] and n_events == 0:
         raise CorruptData(
@@ -266,7 +266,7 @@ def dat_header(sensor: Sensor) -> bytes:
 
 
 def dat_records(events: np.ndarray, t0_us: int) -> bytes:
-    """Events as they stand in a DAT file of version 2.
+    """The bytes of events in a DAT file of version 2.
 
     Parameters
     ----------
@@ -275,7 +275,8 @@ def dat_records(events: np.ndarray, t0_us: int) -> bytes:
 
     Raises
     ------
-    ValueError : a time before `t0_us`, or 71.6 minutes after it, which the format cannot say.
+    ValueError : a time is before `t0_us`, or 71.6 minutes or more after it. The format cannot
+        state such a time.
     """
     t = events["t"] - t0_us
     is_outside = (t < 0) | (t >= DAT_PERIOD_US)

@@ -1,9 +1,10 @@
 """A recording of any known format, as packets of events.
 
-Its reader is found by its suffix, and by its first bytes where a suffix can mean several formats. A
-further format is one more entry in `READERS`: its suffix, and a function of a path and
-`ReadOptions` that returns a `Source`. One whose suffix is there for others has its first bytes in
-`BY_FIRST_BYTES`, and its name in the message of `_open_by_content`.
+The reader is found by the file's suffix, and by its first bytes where a suffix can mean several
+formats. A new format is one more entry in `READERS`: its suffix, and a function of a path and
+`ReadOptions` that returns a `Source`. If the suffix is there for other formats already, the first
+bytes of the new format go into `BY_FIRST_BYTES`, and its name into the message of
+`_open_by_content`.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def _open_by_content(path: Path, options: ReadOptions) -> Source:
 def _open_nmnist(path: Path, options: ReadOptions) -> Source:
     """Open a file in N-MNIST's format, which does not state the sensor.
 
-    It is N-MNIST's, 34 x 34, unless the caller says another.
+    The sensor is N-MNIST's, 34 x 34, unless the caller states another sensor.
     """
     events = read_nmnist(path)
     if options.sensor not in (None, NMNIST_SENSOR):
@@ -116,9 +117,9 @@ class RecordingCounts:
     received: int = 0
     """Events in the file, or in the part of it that is read."""
     kept: int = 0
-    """Handed on."""
+    """Events that are handed on."""
     off_sensor: int = 0
-    """Left out because they lie off the sensor."""
+    """Events that are left out because they lie off the sensor."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ class _Totals:
 
 @dataclass(eq=False, repr=False)
 class Recording:
-    """The events of one file, and the packets they come in. Made by `open_recording`.
+    """The events of one file, in packets. `open_recording` makes it.
 
     Each iteration reads the file again and yields packets that the caller may change. A `.bin` or
     `.npz` is read as a whole. All other formats are read block by block, so that memory does not
@@ -224,7 +225,7 @@ class Recording:
         )
 
     def _counted(self) -> _Totals:
-        """What a pass over the file finds; makes one if there was none."""
+        """The totals of a whole pass over the file. If no pass was made yet, this makes one."""
         if self._totals is None:
             for _ in self._blocks():
                 pass
@@ -260,8 +261,10 @@ class Recording:
 
         Raises
         ------
-        SourceError : too many are off the sensor; or one is, and `off_sensor` is "raise".
-        CorruptData : see `Source`; also if too many are off the sensor only later in the file.
+        SourceError : too many events are off the sensor; or an event is, and `off_sensor` is
+            "raise".
+        CorruptData : see `Source`; also if the events off the sensor become too many only later in
+            the file.
         """
         for k, events in enumerate(gathered(self._part())):
             off = check.off(events)
@@ -278,7 +281,7 @@ class Recording:
             yield events[~off].astype(EVENT_DTYPE) if off.any() else events
 
     def _part(self) -> Iterator[np.ndarray]:
-        """The source's blocks, or what lies between two times of them."""
+        """The source's blocks, or only their events between the two times of `between_us`."""
         if self.between_us is None:
             yield from self.source.blocks()
             return
@@ -360,11 +363,11 @@ def open_recording(
 
     Raises
     ------
-    ValueError : an unknown suffix; a damaged file, also one in which not even the first event can
-        be read; a pointer of Git LFS; a pipe or a device; `packet_events` below 1, or another
-        invalid option.
-    OSError : missing, a folder, or not readable.
-    ImportError : the format needs an extra that is not installed; names it.
+    ValueError : the suffix is unknown; the file is damaged, or not even its first event can be
+        read; the path is a pointer of Git LFS, a pipe or a device; `packet_events` is below 1, or
+        another option is invalid.
+    OSError : the file is missing, is a folder, or is not readable.
+    ImportError : the format needs an extra that is not installed; the message names the extra.
 
     Example
     -------
@@ -395,7 +398,7 @@ def open_recording(
 
 
 def _check_path(path: Path) -> None:
-    """Refuse what is there, but cannot be a recording. A missing file passes."""
+    """Refuse a path that exists, but cannot be a recording. A missing file passes."""
     if path.is_dir():
         raise IsADirectoryError(
             f"{path} is a folder, expected a recording; `async-tnt info` says what is in it"
@@ -419,7 +422,7 @@ def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | No
 
     Raises
     ------
-    ParameterValueError : it is no range of times.
+    ParameterValueError : `between_us` is no range of times.
     """
     if between_us is None:
         return None

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2: what `ros_reader.py` unpacks in a worker process, as events.
+"""The events of ROS 1 and ROS 2 bags, which `ros_reader.py` unpacks in a worker process.
 
 Times are microseconds:
 

@@ -110,7 +110,7 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
 
     Parameters
     ----------
-    topic : name of the topic to read; None: the only one that has events.
+    topic : name of the topic to read; None: the only topic that has events.
 
     Yields
     ------
@@ -183,7 +183,8 @@ def _chosen_topic(counts: dict[tuple[str, str], int], topic: str | None) -> str:
     Raises
     ------
     ValueError : no topic has events.
-    SourceError : several have events, or not the wanted one. The message lists the topics.
+    SourceError : several topics have events and none is chosen, or the chosen topic has no events.
+        The message lists the topics.
     """
     with_events = [name for name, kind in sorted(counts) if kind in MESSAGE_TYPES]
     lines = [f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items())]
@@ -218,7 +219,7 @@ def _messages(bag: Any, connections: list[Any], is_ros_1: bool) -> Iterator[Mess
 
 
 def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
-    """Messages, several together. Those before damage are sent before its error is raised."""
+    """Blocks of several messages. Messages before damage are sent before its error is raised."""
     sensor, events = first
     waiting = [events]
     n_bytes = sum(column.nbytes for column in events)

@@ -1,6 +1,6 @@
-"""What the reader of a format provides: a source of blocks of events.
+"""The source of blocks of events that the reader of a format provides.
 
-It starts again at every pass.
+A source starts again at every pass.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MAX_SIDE = 1 << 16
 """Pixels of the longest side that a file may state."""
 
 ONLY_ASCII = bytes(range(128)) + b"?" * 128
-"""Table for `bytes.translate` that replaces what is not ASCII."""
+"""Table for `bytes.translate` that replaces bytes that are not ASCII."""
 
 
 class DamagedRecording(UserWarning):
@@ -43,7 +43,7 @@ class CorruptData(Exception):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a caller knows of a file that does not state it. Other files are read without it.
+    """Facts about a file that the caller states. They are not used if the file states them.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ class ReadOptions:
 
     Raises
     ------
-    ParameterValueError : an impossible sensor; `columns` without each of t, x, y and p; a topic
-        that is no name.
+    ParameterValueError : `sensor` is impossible; `columns` does not have each of t, x, y and p; or
+        `topic` is no name.
     """
 
     sensor: Sensor | None = None
@@ -76,10 +76,10 @@ class Topic:
 
     Parameters
     ----------
-    name : such as "/event_camera/events".
-    type : such as "event_camera_msgs/msg/EventPacket".
+    name : name of the topic, such as "/event_camera/events".
+    type : type of its messages, such as "event_camera_msgs/msg/EventPacket".
     messages : number of its messages.
-    is_read : whether the events come from this one.
+    is_read : whether the events come from this topic.
     """
 
     name: str
@@ -91,11 +91,12 @@ class Topic:
 class Source(ABC):
     """The events of one file, block by block. Holds no more than one block in memory.
 
-    What opens a file, mostly the class itself called with (path, options), reads its header alone.
-    A file that cannot be understood is a ValueError of one line, `path: what is wrong`: one that
-    does not begin as the format does, a header that is missing or cut off, a sensor that has not 1
-    to `MAX_SIDE` pixels a side. It is never a `ParameterError`, which is about what the caller
-    says. Damage behind the header is a `CorruptData`, from `blocks`.
+    The function that opens a file, mostly the class itself called with (path, options), reads only
+    the header. If the file cannot be understood, the function raises a ValueError of one line,
+    `path: what is wrong`. Such a file does not begin as the format does, its header is missing or
+    cut off, or its sensor does not have 1 to `MAX_SIDE` pixels a side. The error is never a
+    `ParameterError`, which is about the caller's parameters. For damage behind the header, `blocks`
+    raises a `CorruptData`.
 
     Attributes
     ----------
@@ -116,8 +117,8 @@ class Source(ABC):
         """The events of the file, in its order, as structured arrays of `EVENT_DTYPE`.
 
         A block is of `WIDE_DTYPE` if one of its pixels does not fit `EVENT_DTYPE`. The source need
-        not care whether pixels lie on the sensor: `Recording` leaves out those that do not. It does
-        not use a block again.
+        not check whether pixels lie on the sensor: `Recording` leaves out the events off it. The
+        source does not use a block again.
 
         Raises
         ------
@@ -130,7 +131,7 @@ class Source(ABC):
 
         Raises
         ------
-        CorruptData : not even one event can be read: the file is of another format.
+        CorruptData : not even one event can be read; the file has another format.
         """
         for block in self.blocks():
             if len(block):
@@ -153,12 +154,14 @@ class ArraySource(Source):
 def valid_events(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, str]:
-    """Columns of any integer type as events, up to the first with an impossible time or polarity.
+    """Columns of any integer type as events, up to the first invalid event.
+
+    An event is invalid if its time or polarity is impossible.
 
     Returns
     -------
-    The events before that one, of `EVENT_DTYPE` or, if a pixel does not fit it, of `WIDE_DTYPE`;
-    and what is wrong with that one, "" if nothing is wrong with any.
+    The events before the first invalid event, of `EVENT_DTYPE` or, if a pixel does not fit it, of
+    `WIDE_DTYPE`; and a text that says what is wrong with the invalid event, "" if all are valid.
     """
     off = p == 0
     if p.dtype.kind == "i":
@@ -188,11 +191,11 @@ def _within_int64(pixel: np.ndarray) -> np.ndarray:
 
 
 def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
-    """Blocks of columns t, x, y, p as events, up to the first invalid one.
+    """Blocks of columns t, x, y, p as events, up to the first invalid event.
 
     Raises
     ------
-    CorruptData : at that event; or where polarity changes from 0/1 to -1/+1, or the reverse.
+    CorruptData : an event is invalid; or polarity changes from 0/1 to -1/+1, or the reverse.
     """
     off: int | None = None  # the number that this file writes for OFF, 0 or -1; None before one
     n_before = 0

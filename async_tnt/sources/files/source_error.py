@@ -11,8 +11,8 @@ from async_tnt.base.checks import ParameterValueError
 class SourceError(ParameterValueError):
     """A source and the parameters do not fit each other.
 
-    The message begins with the name of the source and says which parameter to change. What a file
-    states wrongly is no such error, but a plain ValueError.
+    The message begins with the name of the source and says which parameter to change. If a file
+    states something wrong, the error is a plain ValueError instead.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class SourceError(ParameterValueError):
     """
 
     def text(self, written: Mapping[str, str] | None = None) -> str:
-        """The message, in which parameters are named as `written` says, or else in backticks."""
+        """The message. Parameters have the names that `written` gives them, or else backticks."""
         known = written or {}
 
         def name_of(match: re.Match[str]) -> str:
@@ -39,5 +39,5 @@ class SourceError(ParameterValueError):
         return f"{self.name}: {sentence}" if self.name else sentence
 
     def of(self, name: object, what: str = "") -> SourceError:
-        """The same error of the source with this name; `what` begins the sentence."""
+        """The same error with this name of the source; `what` begins the sentence."""
         return SourceError(str(name), f"{what}{self.rule}")

@@ -100,10 +100,10 @@ class TextSource(Source):
     ----------
     start : byte at which the first row begins.
     line : line number of the first row, counted from 1.
-    columns : what each column is: t, x, y, p, or "" where it is skipped.
+    columns : field of each column: t, x, y, p, or "" for a column that is skipped.
     separator : the character between columns; None: any number of spaces and tabs.
     unit_us : unit of t, in microseconds.
-    expected : what a row looks like, for messages.
+    expected : description of a row, for messages.
     """
 
     format = "rows of text"

@@ -1,11 +1,12 @@
 """Readers of AEDAT4, ES and HDF5 files, which run in a worker process.
 
-A damaged file can crash or hang their libraries.
+A damaged file can crash or hang the libraries that read it. faery panics, or asks for so much
+memory that its process is aborted. Blosc's decoder can crash, and HDF5 itself can read a damaged
+file forever.
 
-faery panics on a damaged file or asks for so much memory that its process is aborted; Blosc's
-decoder can crash, and HDF5 itself can read a damaged file forever. After damage, a minute of
-silence, or a file that was not read to its end, the worker is ended; otherwise it reads the next
-file, as starting one takes longer than reading a short file.
+The worker is ended after damage, after a minute of silence, or after a file that was not read to
+its end. Otherwise it reads the next file, as the start of a worker takes longer than reading a
+short file.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class WorkerSource(Source):
 
     Attributes
     ----------
-    unit : what the reader's blocks are counted in, for messages.
+    unit : name of the unit in which the reader's blocks are counted, for messages.
     """
 
     unit = "event"
@@ -86,7 +87,7 @@ class WorkerSource(Source):
                 return
 
     def _take_head(self, head: Any) -> None:
-        """Store what the reader yields first."""
+        """Store the first value that the reader yields."""
         self.sensor = head
 
     def _size_of(self, block: Any) -> int:
@@ -116,7 +117,7 @@ class WorkerSource(Source):
 
 
 _idle: dict[int, Worker] = {}
-"""Process id -> its worker without work. A forked process must not use that of its parent."""
+"""Process id -> its idle worker. A forked process must not use the worker of its parent."""
 
 
 @contextmanager

@@ -38,7 +38,8 @@ DV_KINDS = {
     "DVXPLORER_M": ("dvxplorer", "dvxplorer-m"),
     "DVXPLORER_S": ("dvxplorer", "dvxplorer-s"),
 }
-"""The same for dv-processing, whose names do not tell a DAVIS346 from another DAVIS."""
+"""Name of a model in dv-processing -> every KIND of `camera:KIND` that matches it. These names do
+not tell a DAVIS346 from another DAVIS."""
 
 DV_SETTINGS = (
     "ContrastThresholdOn",
@@ -131,7 +132,7 @@ library, and what the library raises if it cannot search."""
 
 
 def failure(error: BaseException) -> str:
-    """What a library reports when it fails, in one line.
+    """The message of a library that has failed, in one line.
 
     Libraries in Rust panic with an exception that `except Exception` does not catch.
     dv-processing's messages hold a place in its source, the sentence, and a C++ stack.
@@ -247,7 +248,7 @@ class DvDevice:
                 self.settings[name] = getattr(self.handle, f"get{name}")()
 
     def read(self) -> np.ndarray | None:
-        # asked first: events from before the end can be read after it
+        # This is asked before the read: events from before the end can be read after it.
         running = self.handle.isRunning()
         store = self.handle.getNextEventBatch()
         if store is not None:

@@ -38,7 +38,7 @@ log = logging.getLogger("async_tnt.sources")
 
 
 class Camera(AbstractContextManager["Camera"]):
-    """A camera and its events. Made by `open_camera`.
+    """A camera and its events. `open_camera` makes it.
 
     Iterating yields packets: structured arrays with the library's own fields, never empty, each in
     new memory, in a form that `Processor.push` accepts. Frames, IMU samples and triggers are left
@@ -157,8 +157,8 @@ class Camera(AbstractContextManager["Camera"]):
     def close(self) -> None:
         """Stop, end every iteration and release the camera; counts stay.
 
-        Any thread may call it, also again. Waits for a read in progress, about 0.1 s. After that
-        the camera may be opened again.
+        Any thread may call this, and it may be called again. It waits for a read in progress, about
+        0.1 s. After that the camera may be opened again.
         """
         self._closing.set()
         with self._using:
@@ -245,7 +245,7 @@ def _is_wanted(camera: FoundCamera, kind: str | None, serial: str | None) -> boo
 
 
 def parse_camera_name(name: str) -> tuple[str | None, str | None]:
-    """The kind and the serial number in a camera's name; None where it has none.
+    """The kind and the serial number in a camera's name; None for a part that is not there.
 
     Examples
     --------

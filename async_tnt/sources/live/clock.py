@@ -50,7 +50,7 @@ class Clock:
 
     Raises
     ------
-    ParameterValueError : `max_jump_s` out of range.
+    ParameterValueError : `max_jump_s` is out of range.
 
     Example
     -------
@@ -107,7 +107,7 @@ class Clock:
 
     @property
     def late(self) -> int:
-        """The number of events that were kept although an earlier one is newer."""
+        """The number of events that were kept although an event before them has a later time."""
         return int(self.state[LATE])
 
     @property

@@ -37,18 +37,18 @@ EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32
 """Format -> bytes of one event."""
 
 _ABSENT = 1 << 31
-"""In a word of SPIF: no time follows."""
+"""Bit in a word of SPIF that says that no time follows."""
 
 _KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32": SPIF_T32}
 """Format -> its number in the kernel."""
 
 
 def checked_format(format: str) -> str:
-    """The format itself, if there is one of this name.
+    """The name of a format itself, if there is such a format.
 
     Raises
     ------
-    ParameterValueError : there is none.
+    ParameterValueError : there is no such format.
     """
     if format not in EVENT_BYTES:
         rule = f"must be one of {', '.join(EVENT_BYTES)}"
@@ -155,8 +155,8 @@ class Decoder:
         Parameters
         ----------
         raw : uint8, the bytes of all datagrams, end to end.
-        ends : where each datagram ends, in events from the beginning of `raw`.
-        arrivals : when each datagram came, in microseconds.
+        ends : end of each datagram, in events from the beginning of `raw`.
+        arrivals : time at which each datagram came, in microseconds.
         """
         n = ends[-1] if ends else 0
         events = np.empty(n, EVENT_DTYPE)

@@ -21,7 +21,7 @@ from async_tnt.base.checks import ParameterValueError, whole_number
 from async_tnt.sources.live.datagrams import Decoder
 
 ROOM = 1 << 16
-"""Bytes of memory for the next datagram: more than any has, so that none is ever cut off."""
+"""Bytes of memory for the next datagram. No datagram is larger, so none is ever cut off."""
 
 BATCH_BYTES = 1 << 18
 """Bytes of memory for the datagrams that are read together."""
@@ -46,14 +46,15 @@ class NetworkCounts:
     datagrams: int
     """Datagrams received."""
     bytes: int
-    """Bytes of these."""
+    """Bytes of all datagrams received."""
     events: int
     """Events handed on."""
     malformed: int
     """Events left out: cut off, off the sensor, with an impossible polarity or time, or with a time
     that jumps."""
     late: int
-    """Events handed on that are older than one before: the network or the sender reordered them."""
+    """Events handed on that are older than an event before them: the network or the sender has
+    changed their order."""
     jumped: int = 0
     """Malformed events with a time that jumps, see `Clock`."""
     off_sensor: int = 0
@@ -66,7 +67,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     """A listener for datagrams of events.
 
     Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty. A packet has the
-    events of the datagrams that were waiting, 64 at most, or of the one that ended a wait.
+    events of the datagrams that were waiting, 64 at most, or of the datagram that ended a wait.
     Iterating ends when `close` is called, from any thread, or after `timeout_s` without a valid
     event. Invalid events never raise; they are dropped, see `counts`. One thread iterates at a
     time; asyncio reads the source through a `BackgroundReader`.
@@ -87,7 +88,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     Raises
     ------
     OSError : the address is not this machine's, or taken.
-    ParameterValueError : a setting out of range.
+    ParameterValueError : a setting is out of range.
 
     Examples
     --------
@@ -173,7 +174,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
     @property
     def name(self) -> str:
-        """Where it listens, udp://HOST:PORT, with the port that it got."""
+        """The address of the source, udp://HOST:PORT, with the port that it got."""
         host = f"[{self.address}]" if ":" in self.address else self.address
         return f"udp://{host}:{self.port}"
 

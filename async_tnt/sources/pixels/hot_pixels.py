@@ -23,8 +23,9 @@ The second is Chernoff's bound on a Poisson count,
 
 so that chance makes one of the N pixels of a sensor hot in one of a hundred recordings.
 
-Hot pixels raise the mean and hide weaker ones nearby. So the search is repeated until it finds no
-more. In the next search, each pixel found so far has the largest count of the others in its block.
+Hot pixels raise the mean and hide weaker hot pixels nearby. So the search is repeated until it
+finds no more. In the next search, each pixel found so far gets the largest count among the other
+pixels of its block.
 (With a lower count the end of a line would move inwards, and the line would be found pixel by
 pixel.)
 
@@ -52,7 +53,7 @@ BLOCK = 5
 
 RANK = 4
 """Rank, among the neighbours' counts from the largest on, of the count that is plausible: a moving
-edge passes at least so many neighbours."""
+edge passes at least this many neighbours."""
 
 FACTOR = 5.0
 """A hot pixel has more than this multiple of its plausible count."""
@@ -82,7 +83,8 @@ def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
     Raises
     ------
-    ValueError, TypeError : an invalid sensor, one of more than 2**24 pixels, or invalid events.
+    ValueError, TypeError : `sensor` is invalid or has more than 2**24 pixels, or events are
+        invalid.
 
     Example
     -------

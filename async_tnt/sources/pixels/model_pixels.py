@@ -19,9 +19,10 @@ class ModelPixels:
 
     Parameters
     ----------
-    pixels : what the model sees.
-    model : (width, height) in pixels that the model is for.
-    any_size : whether the model can be for others, see `Model.for_sensor`; for messages.
+    pixels : the pixels that the model sees.
+    model : (width, height) of the model's sensor, in pixels.
+    any_size : whether the model can be used for sensors of other sizes, see `Model.for_sensor`; for
+        messages.
 
     Attributes
     ----------
@@ -31,8 +32,9 @@ class ModelPixels:
 
     Raises
     ------
-    ValueError : a region of another size than the model's sensor; without `crop`, a camera of
-        another size, if `pixels` says it; a region off the camera, if that is known.
+    ValueError : the region has another size than the model's sensor; without `crop`, the camera in
+        `pixels` has another size than the model's sensor; or the region lies off the camera, if the
+        camera's size is known.
     """
 
     def __init__(self, pixels: Pixels, model: Sensor, *, any_size: bool = False) -> None:
@@ -70,7 +72,7 @@ class ModelPixels:
 
         Raises
         ------
-        ValueError, OSError : unreadable, or of another sensor than expected.
+        ValueError, OSError : the recording is unreadable, or its sensor is not the expected one.
         """
         recording = open_recording(path, sensor=self.expected, **reading)
         return recording, self.filter_of(path if name is None else name, recording.sensor)
@@ -136,7 +138,7 @@ class ModelPixels:
 
     @property
     def nothing(self) -> str:
-        """What a model has seen of a source without any event left, for messages."""
+        """The words of a message about a source of which no event is left for the model."""
         return "no events at the selected pixels" if self.pixels.leaves_out else "no events"
 
     def _advice(self, camera: Sensor | None) -> str:

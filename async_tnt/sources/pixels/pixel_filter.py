@@ -27,11 +27,11 @@ class PixelCounts:
     received: int = 0
     """Events in total."""
     kept: int = 0
-    """Handed on."""
+    """Events that are handed on."""
     dropped_masked: int = 0
-    """At masked pixels inside the region of interest."""
+    """Events at masked pixels inside the region of interest."""
     dropped_outside: int = 0
-    """Outside the region of interest, masked or not."""
+    """Events outside the region of interest, at masked pixels or not."""
 
 
 class PixelFilter:
@@ -53,7 +53,8 @@ class PixelFilter:
 
     Raises
     ------
-    ValueError : a region off the sensor, a mask of another type or shape, a damaged file.
+    ValueError : the region lies off the sensor, the mask has another type or shape, or its file is
+        damaged.
     OSError : the mask file is missing or not readable.
 
     Example
@@ -104,7 +105,7 @@ class PixelFilter:
 
         Raises
         ------
-        ValueError, TypeError : invalid events, as for `Processor.push`; such a packet is not
+        ValueError, TypeError : events are invalid, as for `Processor.push`. Their packet is not
             counted.
         """
         t, x, y, p, n = self._decoder.decode(events)
@@ -147,7 +148,7 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
 
     Raises
     ------
-    ParameterValueError : not four whole numbers, or off the sensor.
+    ParameterValueError : `roi` is not four whole numbers, or lies off the sensor.
     """
     try:
         numbers = tuple(roi)

@@ -1,4 +1,4 @@
-"""Masks of pixels: checked, in files, and packed so that they are small and can be compared."""
+"""Masks of pixels: their check, their files, and a packed form that is small and comparable."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 
 
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
-    """Read a mask that `save_mask` or `async-tnt mask` wrote.
+    """The mask in a file that `save_mask` or `async-tnt mask` wrote.
 
     The mask is bool, shape (H, W), True where events are dropped.
 
@@ -57,8 +57,8 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
 
     Raises
     ------
-    ValueError : damaged, or not a mask of this sensor.
-    OSError : missing or not readable.
+    ValueError : the file is damaged, or is not a mask of this sensor.
+    OSError : the file is missing or not readable.
     """
     path = user_path(path)
     try:
@@ -89,7 +89,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
 class PackedMask:
     """A mask in little memory, as `Pixels` holds it.
 
-    Two are equal if their sizes and pixels are, whatever files they are from.
+    Two packed masks are equal if their sizes and pixels are equal, whatever files they are from.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class PackedMask:
 
     @classmethod
     def of(cls, mask: np.ndarray, name: str = "mask") -> PackedMask:
-        """Pack a `mask`.
+        """The packed form of a `mask`.
 
         Raises
         ------

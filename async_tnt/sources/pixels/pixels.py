@@ -1,4 +1,4 @@
-"""Which pixels count, as one frozen value that can be compared, sent and stored."""
+"""Pixels: one frozen value that says which pixels count, and can be compared, sent and stored."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Pixels:
 
     Raises
     ------
-    ValueError : `crop` without `roi`; an impossible region or sensor; a mask that is damaged, or of
-        another size than `sensor`.
+    ValueError : `crop` is set without `roi`; the region or the sensor is impossible; or the mask is
+        damaged, or has another size than `sensor`.
     OSError : the mask file is missing or not readable.
 
     Example

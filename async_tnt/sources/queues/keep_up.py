@@ -1,7 +1,7 @@
 """A queue with bounded delay, for events that outrun the network.
 
-It lets the processor decide less often. If that is not enough, it skips whole packets, and counts
-their events.
+The queue lets the processor decide less often. If that is not enough, the queue skips whole
+packets, and counts their events.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PAUSE = 0.25
 """Least time between two changes, as a share of `max_delay_us`: a change shows after a while."""
 
 URGENT_PAUSE = 0.05
-"""The same where it is urgent."""
+"""Least time between two changes where the second is urgent, as a share of `max_delay_us`."""
 
 MOST_SLOWER = 1 << 10
 """The largest factor by which decisions become rarer."""
@@ -43,9 +43,9 @@ class KeepUp(BackgroundReader):
 
     While packets wait for more than a quarter of `max_delay_us`, decisions become rarer: the
     processor's `every_us` and `every_events` are doubled, step by step, up to the length of a
-    window, and by a factor of 1,024 at most. While packets wait for less than a twentieth, both are
-    halved again, step by step, down to the values that the processor had at first. It has these
-    values again after the `with` block.
+    window, and by a factor of 1,024 at most. While packets wait for less than a twentieth of
+    `max_delay_us`, both settings are halved again, step by step, down to the values that the
+    processor had at first. The processor has these values again after the `with` block.
 
     If that is not enough, packets that have waited for more than `max_delay_us` are discarded, also
     while nobody reads. Their events are counted: received = handed_out + skipped + backlog, see
@@ -106,7 +106,8 @@ class KeepUp(BackgroundReader):
         try:
             super().close(timeout_s)
         finally:
-            # an error means that the processor is at work: then the loop over this reader does it
+            # An error means that a call of the processor is running. Then the loop over this reader
+            # restores the settings.
             with contextlib.suppress(RuntimeError):
                 self._set(1, 0)
 

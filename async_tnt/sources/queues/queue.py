@@ -54,8 +54,8 @@ class PacketQueue:
         reader skips ahead.
     max_delay_us : with `latest`: the longest that a packet may wait, in microseconds. Packets that
         have waited longer are discarded, except the newest one, also while nobody reads.
-    copy : whether `put` copies packets, as drivers often reuse the memory of one for the next.
-        False is for sources that put each packet in new memory.
+    copy : whether `put` copies packets. Drivers often reuse the memory of a packet for the next
+        packet. False is for sources that put each packet in new memory.
 
     Attributes
     ----------
@@ -64,8 +64,8 @@ class PacketQueue:
 
     Raises
     ------
-    TypeError, ValueError : a limit that is not a whole number, or below 1; `max_delay_us` without
-        `latest`.
+    TypeError, ValueError : a limit is not a whole number, or is below 1; or `max_delay_us` is
+        passed without `latest`.
 
     Example
     -------
@@ -138,7 +138,7 @@ class PacketQueue:
 
         Raises
         ------
-        ValueError : after `end`.
+        ValueError : `end` has been called.
         """
         arrived_ns = time.monotonic_ns()
         packet, n = measured(packet, self.copy)
@@ -179,7 +179,7 @@ class PacketQueue:
 
         Parameters
         ----------
-        error : the loop raises it where it ends; None: it just ends.
+        error : an error that the loop raises at its end; None: the loop ends without an error.
         """
         with self._came:
             # closing ends the queue, too: a source that fails because of that is no error
@@ -327,8 +327,8 @@ def measured(packet: Any, copy: bool) -> tuple[Any, int]:
     """A packet, or a copy of it, and the number of its events.
 
     A structured array and a tuple of four columns keep their form when they are copied. Other
-    objects become a tuple of four columns (t, x, y, p). What is no packet of events counts 0: its
-    reader will refuse it.
+    objects become a tuple of four columns (t, x, y, p). An object that is no packet of events
+    counts 0 events: its reader will refuse it.
 
     Parameters
     ----------
