@@ -43,10 +43,10 @@ def choose_engine(
 
     Raises
     ------
-    ImportError : an .onnx file, and onnxruntime is not installed.
-    FileNotFoundError : no such file.
-    ValueError : the file is damaged; an .onnx file of another program without `config`, or `config`
-        for another model.
+    ImportError : the file is an .onnx file, and onnxruntime is not installed.
+    FileNotFoundError : the file does not exist.
+    ValueError : the file is damaged; or `config` is missing for an .onnx file of another program;
+        or `config` is given for another model.
     """
     if config is not None:
         return _engine_of_other_program(user_path(name_or_path), config)
@@ -92,7 +92,7 @@ def _read_config(path: Path) -> tuple[TNTConfig, list[str] | None]:
 
     Raises
     ------
-    ValueError : names the file, and what is wrong in it.
+    ValueError : the file has a wrong content. The message names the file and what is wrong.
     """
     try:
         given = parse_json(read_regular(path))
@@ -110,7 +110,7 @@ def _read_config(path: Path) -> tuple[TNTConfig, list[str] | None]:
 
 
 def _are_different_names(classes: Any) -> bool:
-    """Whether it is a list of one name or more, each of them there once."""
+    """Whether the value is a list of at least one name, without repeated names."""
     if not isinstance(classes, list) or not classes:
         return False
     return len({str(name) for name in classes}) == len(classes)

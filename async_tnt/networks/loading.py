@@ -64,12 +64,13 @@ def load_model(
 
     Raises
     ------
-    FileNotFoundError : no such file and no such bundled model; the message lists the bundled names.
-    ImportError : an .onnx network, and onnx or onnxruntime is not installed.
-    TypeError : `config` or `classes` for a model that has its own, or no `config` for a network
-        that has none.
-    NotImplementedError : names the first node of an .onnx network that has no compiled form; or its
-        layers compute other numbers than onnxruntime.
+    FileNotFoundError : there is no such file and no such bundled model. The message lists the
+        bundled names.
+    ImportError : the file is an .onnx network, and onnx or onnxruntime is not installed.
+    TypeError : `config` or `classes` is given, but the file contains its own; or `config` is
+        missing, and the file contains no configuration.
+    NotImplementedError : a node of an .onnx network has no compiled form, and the message names the
+        first such node; or the layers compute other numbers than onnxruntime.
     ValueError : the file is damaged, a pointer of Git LFS, needs a network that this release cannot
         run, or is not a model of this package.
     """

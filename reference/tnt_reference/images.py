@@ -30,7 +30,7 @@ def count_image(
 
     Raises
     ------
-    ValueError, TypeError : the argument's name, the rule and what came.
+    ValueError, TypeError : an argument is wrong. The message has its name, the rule and the value.
 
     References
     ----------

@@ -52,7 +52,7 @@ def landmark(
 
     Raises
     ------
-    ValueError, TypeError : an unknown name, or columns that are not events of this sensor.
+    ValueError, TypeError : the name is unknown, or the columns are not events of this sensor.
 
     References
     ----------

@@ -31,7 +31,7 @@ class LayerNetwork(nn.Module):
 
     Raises
     ------
-    ValueError : an op of another name.
+    ValueError : a layer has an op that is not in the table.
     """
 
     def __init__(self, layers: Sequence[Layer], tensors: Mapping[str, Any]) -> None:

@@ -120,7 +120,7 @@ def image_cost(
     edge: float,
     level: float,
 ) -> torch.Tensor:
-    """What the best image minimises.
+    """The cost of an image, which the best image minimises.
 
         1/2 |V^-1/2 (c - A L)|^2 + sum g(|D L|) + level/2 |L|^2
 

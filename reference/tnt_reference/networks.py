@@ -142,8 +142,7 @@ class Pipeline(nn.Module):
 
     Raises
     ------
-    ValueError, TypeError : settings that do not fit together, when built; invalid events, when
-        called.
+    ValueError, TypeError : the settings do not fit together; (when called) the events are invalid.
     """
 
     def __init__(

@@ -39,7 +39,7 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     Parameters
     ----------
     logits : (K + 1, R, C); the last channel stands for nothing.
-    near : within so many places of an object, in rows and in columns, there is no other.
+    near : number of rows and of columns around an object in which there is no other object.
 
     Example
     -------

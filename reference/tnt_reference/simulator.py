@@ -1,4 +1,4 @@
-"""The pixel of an event camera: log luminance in, events out.
+"""The events of an event camera's pixel, made from its log luminance.
 
 It is written out in pure Python, pixel by pixel. Between two frames the log luminance L of a pixel
 runs in a straight line. With the reference level R:
@@ -63,9 +63,9 @@ def simulate_events(
 def low_pass(
     light: Sequence[float], times_us: Sequence[float], brightest_hz: float, darkest: float
 ) -> list[float]:
-    """What a pixel follows of its log luminance: y' = 2 pi f (L - y).
+    """The smoothed log luminance y that a pixel follows: y' = 2 pi f (L - y).
 
-    By backward differences from frame to frame. The corner frequency f is in proportion to the
+    It is computed by backward differences from frame to frame. The corner frequency f is in proportion to the
     luminance, down to the luminance `darkest`.
     """
     followed = [float(light[0])]

@@ -51,7 +51,7 @@ def event_volume(
 
     Raises
     ------
-    ValueError, TypeError : the argument's name, the rule and what came.
+    ValueError, TypeError : an argument is wrong. The message has its name, the rule and the value.
 
     References
     ----------

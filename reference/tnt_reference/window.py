@@ -1,4 +1,4 @@
-"""The events of one window: columns of any kind in, checked torch columns out."""
+"""Checked torch columns of the events of one window, made from columns of any kind."""
 
 from __future__ import annotations
 

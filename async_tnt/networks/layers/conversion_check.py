@@ -35,7 +35,8 @@ def compare(
 
     Raises
     ------
-    ValueError : their numbers differ by more; or the network fails on a volume.
+    ValueError : the numbers of the network and of the layers differ by more than `tolerance`; or
+        the network fails on a volume.
     """
     pairs = [_numbers_of_both(original, layers, volume) for volume in volumes_to_compare(shape)]
     largest = [_largest_finite(expected) for expected, _ in pairs]
@@ -74,8 +75,9 @@ def _largest_finite(numbers: np.ndarray) -> float:
 def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
     """Volumes (C, H, W), float32.
 
-    Two of normal numbers, two of sparse counts, one of these times 100, one of negative numbers
-    only, zeros, and counts that are dense in one corner, as those of an object are.
+    Two volumes hold normal numbers, and two hold sparse counts. One holds sparse counts times 100,
+    one only negative numbers, and one only zeros. The last one holds counts that are dense in one
+    corner, like the events of an object.
     """
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(2, *shape)).astype(np.float32)

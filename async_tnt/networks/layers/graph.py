@@ -71,8 +71,8 @@ def layer_shapes(
 
     Raises
     ------
-    NotImplementedError : names the first layer that this release cannot run.
-    ValueError : names the first layer that does not fit, and what was expected.
+    NotImplementedError : this release cannot run a layer. The message names the first such layer.
+    ValueError : a layer does not fit. The message names the first such layer and what was expected.
     """
     if not layers and not partial:
         raise ValueError("a network must have at least one layer")
@@ -110,7 +110,7 @@ class _CheckedLayers:
 
     Attributes
     ----------
-    shapes : layer -> the shape of its output; and of the volume.
+    shapes : layer -> the shape of its output. The shape of the volume is there, too.
     flat_maps : the layers that compute a map of more than one place as a vector. Only a dense layer
         knows the order of its numbers.
     """

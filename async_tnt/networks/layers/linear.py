@@ -33,7 +33,10 @@ def _conv_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) ->
 
 
 def _conv_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """One step; a depthwise convolution of one filter a channel is a SUM."""
+    """Add the one step of a convolution; returns its output.
+
+    The step is a SUM for a depthwise convolution of one filter a channel, otherwise a MIX.
+    """
     channels = inputs[0].channels
     weight = made.tensor(layer, "weight")
     n_filters = len(weight)
@@ -61,10 +64,10 @@ def _dense_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -
 
 
 def _dense_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """The steps of a dense layer.
+    """Add the steps of a dense layer; returns the output of the last one.
 
-    If its input is one place, this is one step. If its input is a flattened map, a first step
-    computes what each place adds to the output, and a second step sums this over all places.
+    If the input is one place, there is one step. If the input is a flattened map, a first step
+    computes what each place adds to the output, and further steps sum this over all places.
     """
     (source,) = inputs
     weight = made.tensor(layer, "weight")

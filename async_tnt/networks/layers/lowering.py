@@ -1,4 +1,4 @@
-"""From layers to steps of the compiled interpreter.
+"""The steps of the compiled interpreter that a network's layers become.
 
 Batch norms are folded into the step before them, and activations become part of it. A dense layer
 that reads a map becomes three steps, a global average pooling two: what each place adds, the sum of
@@ -53,7 +53,7 @@ def _made_steps(
 def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
     """How many layers read the output of a layer, directly or through a flatten.
 
-    The network's output counts as read once more than that.
+    The network's output has one reader more: the caller.
     """
     origins: dict[str, str] = {}  # flatten -> the layer whose numbers it has
     readers: Counter[str] = Counter()

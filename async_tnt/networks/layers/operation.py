@@ -45,8 +45,9 @@ class Operation:
     parameters : name -> the rule of its values.
     roles : role of weights -> whether a layer must have weights in this role.
     n_inputs : 1, or 2 where it has two or more.
-    flat_maps : what it does with a flattened map, whose order only a dense layer knows: it refuses
-        one, it computes each number from the same number and so keeps the order, or it reads one.
+    flat_maps : what the operation does with a flattened map. Only a dense layer knows the order of
+        its numbers, and reads the map. Another operation refuses the map, or computes each number
+        from the number at the same index, and so keeps the order.
     places : where the places of its output lie.
     kernel : how much of its input a place depends on.
     own_weights : whether each place has weights of its own, which take memory.

@@ -74,7 +74,7 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
     Parameters
     ----------
     w : some of the filters of the step.
-    first : which of the step's filters the first one is.
+    first : the index, among the step's filters, of the first filter in `w`.
     """
     # (K, F): taps, then channels
     products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
@@ -118,8 +118,8 @@ def shared_weights(parts: list[np.ndarray], shared: dict[str, np.ndarray]) -> np
     Parameters
     ----------
     parts : the weights of each step.
-    shared : the array of an earlier program of the same network, under "weights", which is then
-        returned; else this one enters it.
+    shared : a dictionary. If an earlier program of the same network left its array under "weights",
+        that array is returned. Otherwise the new array is stored there.
     """
     if "weights" not in shared:
         weights = aligned(sum(part.size for part in parts), np.float32)

@@ -13,8 +13,8 @@ class Axis(NamedTuple):
     Parameters
     ----------
     first : the middle of the grid pixels that the first row or column depends on.
-    distance : grid pixels from the middle of one to the middle of the next.
-    n : how many there are.
+    distance : grid pixels from the middle of a row or column to the middle of the next.
+    n : the number of rows or columns.
     """
 
     first: float
@@ -48,7 +48,7 @@ def divided_axis(layer: Layer, k: int, axis: Axis) -> Axis:
 
 
 def spread_axis(layer: Layer, k: int, axis: Axis) -> Axis:
-    """The axis of a map each of whose places becomes a block of places."""
+    """The axis of the output of a layer that turns each place into a block of places."""
     block = layer["block"]
     first = axis.first + axis.distance * (1 / block - 1) / 2
     return Axis(first, axis.distance / block, axis.n * block)

@@ -101,8 +101,8 @@ def make_program(
     ----------
     shape : shape of the volumes, (C, H, W).
     tensors : name -> weights.
-    shared : where programs of the same layers and shape share their packed weights. Those of the
-        first program enter it.
+    shared : a dictionary through which programs of the same layers and shape share their packed
+        weights. The first program stores its packed weights there.
     """
     channels, height, width = shape
     volume = Map(channels, height, width)
@@ -373,11 +373,12 @@ class VolumeInput:
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """The volume as float32, contiguous and read-only.
 
-        Where it is so, it is returned as it is. Else a copy is returned, valid until the next call.
+        A volume that already has this form is returned itself. Otherwise a copy is returned,
+        which is valid until the next call.
 
         Raises
         ------
-        ValueError : another shape.
+        ValueError : the volume has another shape.
         """
         volume = plain_array("volume", volume)
         if volume.shape != self.shape:

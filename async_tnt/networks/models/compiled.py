@@ -127,7 +127,7 @@ class CompiledClassifier:
 
         Raises
         ------
-        ValueError : a volume of another shape.
+        ValueError : the volume has another shape.
         """
         if volume.config.shape != self.shape:
             raise ParameterValueError(
@@ -211,12 +211,13 @@ class CompiledClassifier:
 class CompiledRegressor:
     """The compiled landmark network of a model.
 
-    It makes a landmark (x, y) in grid pixels from a raw volume (C, H, W).
+    It computes a landmark (x, y) in grid pixels from a raw volume (C, H, W).
 
     Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. It
-    equals torch's to 1e-4 pixels. A volume alone takes one as `TNTVolume(model.config,
-    regressor=CompiledRegressor(model))`; `Processor(model)` makes its own. It holds scratch memory:
-    use one instance per thread.
+    equals torch's to 1e-4 pixels. `Processor(model)` makes its own regressor. Without a
+    Processor, pass a regressor to the volume: `TNTVolume(model.config,
+    regressor=CompiledRegressor(model))`. A regressor holds scratch memory: use one instance per
+    thread.
 
     Parameters
     ----------

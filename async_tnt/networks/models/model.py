@@ -52,7 +52,7 @@ class Model:
     ValueError, TypeError : weights are missing, are not finite, or do not fit the network; or the
         network does not fit the configuration or `classes`, or is larger than
         `networks.layers.graph.MAX_NUMBERS` or `MAX_PRODUCTS`. The message names the layer.
-    NotImplementedError : names a layer that this release cannot run.
+    NotImplementedError : this release cannot run a layer. The message names the layer.
     """
 
     config: TNTConfig
@@ -102,8 +102,8 @@ class Model:
 
         Raises
         ------
-        NotImplementedError : names the operations that have no compiled form; or the module
-            computes what a trace does not show.
+        NotImplementedError : operations have no compiled form, and the message names them; or the
+            module computes something that a trace does not show.
         ValueError, TypeError : see Model.
 
         Examples

@@ -46,8 +46,8 @@ def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
 def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
     """Where on the sensor the places of a network's last map lie.
 
-    A place lies in the middle of the pixels that it depends on. Where a layer has several inputs,
-    the first one counts.
+    A place lies in the middle of the pixels that it depends on. For a layer with several inputs,
+    only the first input is followed.
     """
     width, height = config.grid
     axes = {VOLUME: (Axis(0.0, 1.0, height), Axis(0.0, 1.0, width))}
@@ -67,9 +67,9 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
 
 
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
-    """How an answer of this shape is read.
+    """The shape in which an answer of this shape is read; None if it cannot be read.
 
-    It is read as logits (n,), or as a map (n_classes + 1, R, C). None if it can be neither.
+    An answer is read as logits (n,), or as a map (n_classes + 1, R, C).
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""ONNX networks as Models.
+"""Models from ONNX networks.
 
-They are our own files, and the convolutional networks that torch, Keras and others export.
+The networks are our own files, and convolutional networks that torch, Keras and others export.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def layers_from_onnx(
 
     Raises
     ------
-    NotImplementedError : names the first node that has no compiled form.
+    NotImplementedError : a node has no compiled form. The message names the first such node.
     ValueError : the network's input has another shape.
     """
     from onnx import numpy_helper

@@ -142,7 +142,7 @@ class OnnxLayers:
 
         Returns
         -------
-        Role -> the tensor's name, for those that are there.
+        Role -> the tensor's name, for the inputs that are there.
         """
         constants = {role: self.constant(node, place) for role, place in places.items()}
         weights = {}

@@ -57,7 +57,7 @@ class OnnxClassifier:
     Raises
     ------
     ImportError : onnxruntime is not installed.
-    FileNotFoundError : no such file.
+    FileNotFoundError : the file does not exist.
     ValueError, TypeError : the file is damaged, or its network has other inputs or outputs; (when
         called) the volume has another shape.
     """

@@ -27,7 +27,7 @@ class TorchForm:
     Parameters
     ----------
     rule : how a call becomes layers.
-    modules : their very types, as a subclass may compute anything.
+    modules : the exact types of the modules. A subclass does not count, as it may compute anything.
     functions : the very functions, as one of the user's may have the same name.
     methods : names of a tensor's methods.
     parameters : what follows the inputs, in torch's order: name -> default. A module has them as
@@ -51,7 +51,7 @@ class TorchForm:
 
         Raises
         ------
-        NotImplementedError : names the first one that is not known.
+        NotImplementedError : an argument is not known. The message names the first such argument.
         """
         if self.arguments_of is not None:
             return self.arguments_of(node)

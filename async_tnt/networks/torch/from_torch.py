@@ -46,8 +46,9 @@ def layers_from_torch(
     Raises
     ------
     TypeError : `module` is not a torch module.
-    NotImplementedError : names the operations that are not among these, those that change in place
-        what a view that is read later shows, or the first module with hooks.
+    NotImplementedError : operations are not in that list; or operations in place change a tensor of
+        which a view is read later; or a module has hooks. The message names these operations, or
+        the first such module.
     ValueError : a layer does not fit `shape`.
     """
     if not isinstance(module, nn.Module):

@@ -121,7 +121,7 @@ class LayerList:
 
         Returns
         -------
-        Role -> the tensor's name, for those that are not None.
+        Role -> the tensor's name, for the attributes that are not None.
         """
         weights = {}
         for role, attribute in roles.items():

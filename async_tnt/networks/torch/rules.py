@@ -15,7 +15,7 @@ from async_tnt.networks.torch.layers import Call, LayerList, float_array
 
 
 def _pair(value: Any) -> list[int]:
-    """[y, x], which torch lets people write as one number."""
+    """The sides [y, x] of a parameter that torch also accepts as one number."""
     if isinstance(value, (tuple, list)):
         return [int(v) for v in value]
     return [int(value), int(value)]
