@@ -65,8 +65,8 @@ def low_pass(
 ) -> list[float]:
     """The smoothed log luminance y that a pixel follows: y' = 2 pi f (L - y).
 
-    It is computed by backward differences from frame to frame. The corner frequency f is in proportion to the
-    luminance, down to the luminance `darkest`.
+    It is computed by backward differences from frame to frame. The corner frequency f is in
+    proportion to the luminance, down to the luminance `darkest`.
     """
     followed = [float(light[0])]
     for (t0, _), (t1, now) in pairwise(zip(times_us, light, strict=True)):

@@ -1,4 +1,4 @@
-"""From a window to its class, in one call; from a packet to all its decisions, in one call.
+"""The class of a window, and all decisions of a packet, each in one call from Python.
 
 Each array of the network, of the columns and of the answers is an argument of its own, so the
 kernels here have more than eight: to unpack a tuple of arrays takes Numba longer than to take them.

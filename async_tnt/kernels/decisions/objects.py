@@ -10,8 +10,9 @@ within one row and column of the peak, weighted by their scores where these are 
 are listed from the likeliest on.
 
 An object takes the number of an earlier object that is nearer than a given reach, or else a new
-number. The likeliest object chooses first, and takes the nearest one. Of equally near ones it takes
-the one seen last, and if both were seen in one decision, the likelier one.
+number. The likeliest object chooses first, and takes the number of the nearest earlier object. Of
+equally near objects it takes the object seen last. If these were seen in the same decision, it
+takes the likelier object.
 
 What is remembered has limited room. The objects of a decision are remembered first, then those that
 were seen before and are not found now. Where there is no room for all, those that were seen longest
@@ -244,7 +245,7 @@ def _note_peaks(scores, peaks, y, word, which):
 
 @compiled
 def _is_peak(scores, y, x):
-    """Whether no score near a place is larger, nor equal and before it by rows."""
+    """Whether no score near a place is larger, and none before it by rows is equal."""
     rows, columns = scores.shape
     score = scores[y, x]
     for near_y in range(max(0, y - NEAR), min(rows, y + NEAR + 1)):

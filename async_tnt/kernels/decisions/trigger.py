@@ -1,7 +1,7 @@
 """When to decide: the triggers, and where their numbers lie.
 
-Like a volume's `state`, one flat float64 buffer seen twice: as `trigger`, and as `ints`, the same
-memory as int64.
+The numbers lie in one flat float64 buffer, as in a volume's `state`. Kernels access it in two ways:
+as `trigger`, and as `ints`, a view of the same memory as int64.
 """
 
 import numpy as np

@@ -42,7 +42,7 @@ def words_of(columns):
 
 @inlined
 def forget_changes(program, record, bits):
-    """Nothing has changed yet."""
+    """Note in a record that no place of its map has changed."""
     begin = program[record] + program[record + FIRST_ROW] * program[record + WORDS]
     end = program[record] + (program[record + LAST_ROW] + 1) * program[record + WORDS]
     for word in range(begin, end):
@@ -165,7 +165,7 @@ def _shifted(low, high, n):
 
 @inlined
 def _even_bits(word):
-    """Bits 0, 2, 4, ... side by side."""
+    """A word with the bits 0, 2, 4, ... of another word side by side."""
     word &= np.uint64(0x5555_5555_5555_5555)
     word = (word | word >> np.uint64(1)) & np.uint64(0x3333_3333_3333_3333)
     word = (word | word >> np.uint64(2)) & np.uint64(0x0F0F_0F0F_0F0F_0F0F)

@@ -1,7 +1,8 @@
 """The maps of an empty window: kept, and restored where a window has changed them.
 
-A new window begins with them. So it costs a copy of what the last window changed, and is computed
-only where its own events reach. The kept maps lie EMPTY numbers behind the maps, see `program`.
+A new window begins with these maps. So beginning a window costs a copy of what the last window
+changed, and the network is computed only where the new events reach. The kept maps lie EMPTY
+numbers behind the maps, see `program`.
 """
 
 import numpy as np
@@ -25,7 +26,7 @@ from async_tnt.kernels.simd import count_bits, trailing_zeros
 def begin_window(epoch, program, weights, maps, places):
     """Let a network show an empty window, unless it shows the window of this number already.
 
-    What is restored is noted as changed, as `forward` does with what it computes.
+    Restored places are noted as changed, as `forward` notes the places that it computes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From the heatmap that a landmark network draws to the landmark.
+"""The landmark of a heatmap that a landmark network computes.
 
 l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])          in grid pixels, float64
 """

@@ -42,7 +42,7 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
 
     Parameters
     ----------
-    records : uint8. Packed records; those kept move together, in place.
+    records : uint8. Packed records. The kept records are moved together, in place.
     start, n, size : int. First byte of the packet, its events, and bytes of one event.
     time_at : int. Offset of the time, int64 or uint64, within a record.
     arrival : int. Microseconds on the receiver's clock.

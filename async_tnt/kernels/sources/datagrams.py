@@ -1,4 +1,4 @@
-"""Bytes of datagrams to events, in one pass that takes apart, checks and unwraps.
+"""Events from the bytes of datagrams, in one pass that decodes, checks and unwraps times.
 
 Then `clock.repair_times` drops events whose times jump.
 """
@@ -34,7 +34,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     raw : uint8. Datagrams of whole events, end to end.
     format : T64, T32, SPIF or SPIF_T32.
     ends : int64, shape (at least n_datagrams,). Where each datagram ends, in events.
-    arrivals : int64, like `ends`. When each came, microseconds on any clock.
+    arrivals : int64, like `ends`. When each datagram came, in microseconds on any clock.
     n_datagrams : int.
     width, height : int. Events at x >= width or y >= height are off the sensor.
     max_jump, clock : see `repair_times`. `clock` is updated in place.

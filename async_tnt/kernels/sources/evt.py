@@ -1,4 +1,4 @@
-"""Prophesee's EVT words to columns of events.
+"""Columns of events from the words of Prophesee's EVT formats.
 
 Each kernel reads words from place `start` on for as long as there is room for all events of one
 more word, and returns (events written, words read). What later words depend on is in `state`.

@@ -22,7 +22,7 @@ def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     p : int, (N,), 0 or 1.
     end_us : int. The window's length.
     step_on, step_off : float. The thresholds: the change that an event tells of.
-    cell : int. Each cell averages so many sensor pixels a side.
+    cell : int. The side of a cell in sensor pixels. A cell averages its pixels.
     frames : float64, (K, rows, columns). Overwritten.
     """
     n_frames = len(frames)

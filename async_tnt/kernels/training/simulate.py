@@ -9,7 +9,7 @@ from async_tnt.kernels.jit import compiled, inlined
 def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
     """Each pixel's light behind a low-pass of first order, which is slower in the dark.
 
-    By backward differences:
+    It is computed by backward differences:
 
         y[0] = L[0]
         y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1])

@@ -210,7 +210,7 @@ def _of_nothing(nothing, place, seed, i, share):
 def _uniform(seed, i):
     """The i-th number in [0, 1) of the generator SplitMix64 with this seed.
 
-    Each event gets the same number whichever others are drawn, and in whatever order. The constants
+    An event gets the same number, whatever other numbers are drawn, and in any order. The constants
     are those of the reference.
 
     References

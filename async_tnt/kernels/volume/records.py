@@ -178,7 +178,7 @@ def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @inlined
 def _in_one_byte(polarity):
-    """A polarity of two bytes in one: 0, 1, 255 for -1, and 2 for every other number."""
+    """A polarity of two bytes as one byte: 0, 1, 255 for -1, and 2 for every other number."""
     if polarity <= 2:
         return polarity
     return 255 if polarity == 0xFFFF else 2
@@ -262,8 +262,8 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 def check_columns(t, x, y, p, sensor_w, sensor_h):
     """Check columns such as `load_records` makes.
 
-    They must have one length, and each must be aligned, which is the one thing that Numba's check
-    of its arguments lets pass.
+    The columns must have one length. Each must be aligned in memory, which Numba does not check
+    itself.
 
     Returns
     -------
