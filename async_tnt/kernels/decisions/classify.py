@@ -1,4 +1,4 @@
-"""The class of a window, and all decisions of a packet, each in one call from Python.
+"""The class of a window in one call, and all decisions of a packet in one call.
 
 Each array of the network, of the columns and of the answers is an argument of its own, so the
 kernels here have more than eight: to unpack a tuple of arrays takes Numba longer than to take them.

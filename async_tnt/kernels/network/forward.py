@@ -1,8 +1,8 @@
 """Compute a network, step by step, where it is out of date.
 
 Each step lists the places that a change reaches, computes them, and notes, for the steps that read
-them, those whose bits differ. With everything out of date this is the plain forward pass. There is
-no second implementation of it, so an update and a whole pass cannot differ in a bit.
+them, the places whose bits differ. With everything out of date this is the plain forward pass.
+There is no second implementation of it, so an update and a whole pass cannot differ in a bit.
 """
 
 import numpy as np
@@ -283,7 +283,7 @@ def _list_all(program, at, places):
 
 @inlined
 def _quotient(n, stride):
-    """n // stride. A division would take longer than all else where this is called."""
+    """The quotient n // stride, without a slow division for the usual strides 1 and 2."""
     if stride == 1:
         return n
     if stride == 2:

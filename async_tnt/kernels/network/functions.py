@@ -133,7 +133,7 @@ def choose(
     Parameters
     ----------
     which : a number that `cases` has.
-    cases : number -> what builds the instructions of that case, and returns their value.
+    cases : number -> a function that builds the instructions of that case and returns their value.
     """
     blocks = [builder.append_basic_block() for _ in cases]
     done = builder.append_basic_block()

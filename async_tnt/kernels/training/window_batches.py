@@ -140,7 +140,10 @@ def _cell(gradient, i, b, y, x):
 
 @compiled
 def _select_events(ints, scratch, columns, windows, window):
-    """Write one window's events, moved and thinned, into the scratch columns. Returns how many."""
+    """Write one window's events, moved and thinned, into the scratch columns.
+
+    Returns the number of events written.
+    """
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
     t, x, y, p = columns
     firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, nothings, places = windows

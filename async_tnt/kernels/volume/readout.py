@@ -8,7 +8,7 @@ from async_tnt.kernels.volume import state as S
 
 @compiled
 def empty_volume(buffer, array, start_us, limit_us, epoch):
-    """Open a window: no events, all cells zero. Counts go on.
+    """Open a window without events, in which all cells are zero. The counts are kept.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def cells_to_float32(buffer, array):
 
     Parameters
     ----------
-    buffer : float64, the volume's `state`. What has been read is noted in it.
+    buffer : float64, the volume's `state`. The kernel notes in it what has been read.
     array : float32, shape (C, H, W). Updated in place.
     """
     ints = buffer.view(np.int64)

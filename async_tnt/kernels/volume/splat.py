@@ -142,7 +142,7 @@ def combine_time(buffer, corner, row, second, y_frac, x_frac, f, combine):
         surface  count += w,  surface = max(surface, exp(SURFACE_DECAY (f - 1)))
 
     The surface is the one at the window's end. At an earlier time all its cells have one other
-    common factor, which depends on nothing but the time. So cells change only where events come.
+    common factor, which depends only on the time. So cells change only where events come.
     Weights below WEIGHT_TOLERANCE are skipped.
 
     Parameters

@@ -11,10 +11,11 @@ Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins be
 event between the bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one
 interval after the other, so an interval's cells stay in the first-level cache while its events
 arrive. One row, one column and one bin more than the volume has spare every event a test at the
-border: its weight there is zero. So is the weight that an ON event at the end of the last bin has
-in the first OFF bin. Of an image of times, the second numbers of all pixels may lie behind the bins
-that are read: see COMBINE. Cells are float64, because a volume is promised to 1e-6 of its largest
-number even after thousands of opposite events cancelled in it, which float32 sums would lose.
+border: the weight of the event there is zero. An ON event at the end of the last bin also has the
+weight zero in the first OFF bin. For an image of times, the second numbers of all pixels may lie
+behind the bins that are read: see COMBINE. Cells are float64, because a volume is promised to 1e-6
+of its largest number, even after thousands of opposite events cancelled in it. Float32 sums would
+lose this accuracy.
 `readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that
