@@ -9,7 +9,7 @@ from pathlib import Path
 from async_tnt.evaluation.processes import run_all
 
 SENT_WITHIN_LIMIT = []
-"""Of each answer of this process, whether the limit of its call was still running."""
+"""For each answer of this process: whether the limit of its call was still running."""
 
 
 def twice(number):

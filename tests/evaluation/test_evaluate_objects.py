@@ -396,7 +396,7 @@ def test_what_cannot_be_found_is_counted_over_all_recordings(folder, saved, prog
 
 
 def test_a_table_of_points_comes_before_boxes_and_both_may_lie_in_test(folder, saved, program):
-    """Of the recordings of `Test` alone."""
+    """Only the recordings of `Test` are scored."""
     write_points(folder / "a_td_objects.csv", [(9900, "on", 20, 10)])
     write_boxes(folder / "a_bbox.npy")
     assert json.loads(program("evaluate", saved, folder, "--json")[1])["objects"] == 1

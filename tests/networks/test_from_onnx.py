@@ -403,7 +403,7 @@ def test_a_last_softmax_is_read_as_its_logarithm(tmp_path, config_file):
 
 
 def test_a_softmax_before_the_end_stays_one(tmp_path, config_file):
-    """Of two equal channels: a half each."""
+    """Two equal channels have a probability of one half each."""
     nodes = [node("Softmax", "x", "s", axis=1), node("Flatten", "s")]
     engine = choose_engine(write_onnx(tmp_path / "a.onnx", nodes), config=config_file)
     halves = engine.classifier(np.ones(SINES_CONFIG.shape, np.float32))

@@ -150,8 +150,7 @@ def test_all_forms_of_an_operation_compute_the_same(op, changed):
 
 @pytest.mark.parametrize("op", ["average_pool", "sum_pool", "inside_average_pool"])
 def test_padding_of_a_pooling_in_onnx(op):
-    """Of a corner of four ones, padded to nine places: their sum, or their mean over nine or
-    four."""
+    """A corner of four ones is padded to nine places: their sum, or the mean over nine or four."""
     parameters = {"kernel": [3, 3], "stride": [1, 1], "padding": [1, 1, 1, 1]}
     layers = [layer(op, "pooled", "volume", **parameters), layer("flatten", "flat", "pooled")]
     layers.append(layer("dense", "corner", "flat", weights={"weight": "first"}))

@@ -74,7 +74,7 @@ def test_a_file_for_another_program_is_refused_where_weights_are_needed(name, pr
 
 
 def test_signals_and_hooks_are_restored_after_a_command(program):
-    """Of a program that calls it, such as a notebook. Also after an error."""
+    """A program that calls it, such as a notebook, keeps its hooks, also after an error."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.getsignal(number) for number in numbers]
     hook = sys.unraisablehook

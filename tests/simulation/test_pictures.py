@@ -194,7 +194,7 @@ def test_dark_grey_by_hand(tmp_path):
 
 
 def test_a_large_picture_with_a_palette_is_averaged(tmp_path):
-    """Of four pixels that are black or white at random, most become grey."""
+    """Groups of four pixels, black or white at random, mostly become grey."""
     board = np.random.default_rng(0).integers(0, 2, (1024, 1024), np.uint8)
     Image.fromarray(255 * board).convert("P").save(tmp_path / "a.png")
     light = read_picture(tmp_path / "a.png").light
@@ -323,7 +323,7 @@ def test_contrast_is_2_to_15_and_light_and_dark_are_exchanged_in_half_of_the_rec
 
 
 def test_half_of_the_grounds_have_a_texture(drawn):
-    """Of its strength: at most .15 of the luminance."""
+    """The texture changes the luminance by at most .15 of it."""
     spreads = []
     for one in drawn(replace(DISC, ground=0.5), replace(SETTINGS, light="positive")):
         light = np.exp(one.scene.image[:4])

@@ -232,7 +232,7 @@ def test_events_of_one_moment_come_row_by_row():
 
 
 def test_no_threshold_is_below_the_least():
-    """Of pixels that differ much: a thousandth, so that a rise by 1 gives at most 1,000 events."""
+    """Thresholds that differ much are at least .001: a rise by 1 gives at most 1,000 events."""
     pixels = PixelModel(1e-3, 1e-3, mismatch=1.0, refractory_us=0.0, noise_hz=0.0)
     rise = np.array([0.0, 1.0])[:, None, None] + np.zeros((4, 5))
     events = simulate(rise, np.array([0, 1e6]), np.random.default_rng(0), pixels)
@@ -297,7 +297,7 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
 
 @pytest.mark.parametrize("value", [-0.1, np.inf, np.nan])
 def test_every_number_of_a_pixel_has_its_range(value):
-    """At both ends of it; what is no number is in none."""
+    """The ends of the range are in it; infinity and nan are in no range."""
     for name in vars(PixelModel()):
         with pytest.raises(ValueError, match=f"`{name}` must be .*, got {value}"):
             PixelModel(**{name: value})

@@ -340,7 +340,7 @@ def test_the_record_and_the_notes_count_what_is_learned_and_what_is_held_out(tmp
 
 
 SIX_LAST = {"a/8.npz", "a/9.npz", "a/10.npz", "b/7.npz", "b/8.npz", "b/9.npz"}
-"""Of eleven and of ten numbered recordings the three with the highest numbers."""
+"""The three recordings with the highest numbers, of eleven and of ten numbered recordings."""
 
 
 def test_masked_pixels_are_those_of_the_region_that_is_left(tmp_path):

@@ -33,7 +33,7 @@ def test_windows_without_a_duration_reach_to_the_last_event():
 
 
 def test_the_last_window_reaches_the_end_of_what_a_column_of_times_holds():
-    """Of 32 bits with a sign: the window's end is beyond it."""
+    """Times have 32 bits with a sign, and the window's end is beyond the last one."""
     last_us = (1 << 31) - 1
     windows = make_windows(Recordings.from_events([recording([0, last_us])], [0]), 100_000)
     assert windows.start_us.tolist() == [0, last_us // 100_000 * 100_000]
@@ -61,7 +61,7 @@ def test_windows_that_are_cut_out_keep_their_events_classes_and_names():
 
 
 def test_events_of_a_pixel_are_a_mean_over_pixels_and_a_median_over_windows():
-    """Of one polarity: a pixel that fires ON and OFF counts twice."""
+    """Each polarity counts by itself: a pixel that fires ON and OFF counts twice."""
     rows = [
         *[(t, 1, 1, t % 2) for t in range(4)],  # two ON, two OFF
         *[(100 + t, 1, 1, 1) for t in range(5)],  # 5 at a pixel and 1 at another: 3

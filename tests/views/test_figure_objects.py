@@ -52,7 +52,7 @@ def two_windows(start_us):
 
 
 def panels(figure):
-    """Of each panel its title, ON and OFF events, circles, and words beside them."""
+    """Title, ON and OFF events, circles, and the words beside them, for each panel."""
     found = []
     for axes in figure.axes:
         lines = {"on": [], "off": [], "objects": []}

@@ -132,7 +132,7 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
 
 @pytest.mark.parametrize("missing", [0, 1, 2])
 def test_a_chunk_that_was_never_written_is_refused(tmp_path, missing):
-    """Of three, the last of which is filled in part: HDF5 makes zeros of it."""
+    """There are three chunks, and the last one is filled in part: HDF5 reads zeros there."""
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         for name in "txyp":
