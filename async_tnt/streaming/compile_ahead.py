@@ -184,7 +184,7 @@ def fill_cache(
             "NUMBA_CACHE_DIR to one that can ..."
         )
         return
-    _say("compiling kernels, once on this machine (8 to 20 s) ...")
+    _say("compiling kernels, once on this machine (10 to 30 s) ...")
     _compile_with_a_second_process(wanted)
 
 
