@@ -19,7 +19,7 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import note, say
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.streaming.compile_ahead import must_compile
 from async_tnt.volume.sensor import check_sensor
 
 REMOVED = {"--start-us": "windows begin with the first event; --between-us chooses a part"}
@@ -71,11 +71,10 @@ def main(args: argparse.Namespace) -> int:
     model = model_of(args.model)
     paths = paths_of(args)
 
-    def open_all() -> None:
+    if must_compile():
+        # A recording that is not there is told before the wait.
         for path in paths:
             open_recording(path, sensor=model.config.sensor)
-
-    fill_cache(model=model, first=open_all)
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:

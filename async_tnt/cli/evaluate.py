@@ -29,7 +29,7 @@ from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.streaming.compile_ahead import must_compile, warmup
 from async_tnt.volume.event_forms import check_order
 
 SHOWN = 200
@@ -122,7 +122,8 @@ def main(args: argparse.Namespace) -> int:
 
     pixels = model_pixels_of(pixels_of(args), model)
     found = labelled_recordings(args.dataset, model)
-    fill_cache()
+    if must_compile():
+        warmup(model)  # the workers then load what this process has compiled
     reading = ReadOptions(columns=args.columns, topic=args.topic)
     job = job_of(args.model, model, pixels.pixels, reading)
     tasks = _tasks_of(found, args.dataset, job)

@@ -17,7 +17,6 @@ from async_tnt.evaluation.object_scores import ObjectScores, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, find_tables, read_table
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.streaming.compile_ahead import fill_cache
 from async_tnt.volume.sensor import Sensor, check_sensor
 
 NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask"
@@ -65,7 +64,6 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         )
 
     tables = find_tables(args.dataset)
-    fill_cache(model=model)
     found = _Found()
     with progress(len(tables), "recordings") as bar:
         for path, table in tables:

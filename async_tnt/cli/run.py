@@ -27,7 +27,7 @@ from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, foll
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, sensor_to_read
 from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.sources.pixels.model_pixels import ModelPixels
-from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.streaming.compile_ahead import must_compile
 from async_tnt.streaming.decision import Decision, class_of_recording
 from async_tnt.streaming.processor import Processor
 from async_tnt.streaming.windows import TimeUnitCheck
@@ -151,7 +151,9 @@ def _prepared(args: argparse.Namespace) -> _Run:
     selection = pixels_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
     pixels = model_pixels_of(selection, engine.model)
-    fill_cache(model=engine.model, first=lambda: find_sources(paths_of(args), pixels, args.written))
+    if must_compile():
+        # A source that is not there is told before the wait.
+        find_sources(paths_of(args), pixels, args.written)
     processor = Processor(
         engine.model,
         classes=engine.classes,

@@ -28,7 +28,7 @@ from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, 
 from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.playback import replay
 from async_tnt.sources.files.recording import Recording
-from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.streaming.compile_ahead import must_compile
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
 DESCRIPTION = """\
@@ -110,7 +110,9 @@ def main(args: argparse.Namespace) -> int:
     speed = args.speed
     if speed is None:
         speed = 1.0 if args.out is None else math.inf
-    fill_cache(model=engine.model, first=lambda: find_sources([path], pixels))
+    if must_compile():
+        # A source that is not there is told before the wait.
+        find_sources([path], pixels)
 
     view = RerunView(
         engine.model,

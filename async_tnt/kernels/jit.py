@@ -1,8 +1,9 @@
-"""How the kernels are compiled: strictly, and cached on disk where a folder can be written."""
+"""How kernels are compiled: strictly, and cached on disk where a folder can be written."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import threading
 from collections.abc import Callable
@@ -30,18 +31,31 @@ BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))
 _strict = partial(njit, error_model="numpy", no_cfunc_wrapper=True)
 
 # Re-entrant: a signal handler that forks may run in the thread that compiles.
-_compiling = threading.RLock()
+compiling = threading.RLock()
+"""Held while an entry point is compiled or loaded."""
 # LLVM's lock, which Numba does not show.
 _llvm_lock = getattr(ffi.lib, "_lock", contextlib.nullcontext())
 # In the order in which a compilation takes them.
-_locks = [_compiling, global_compiler_lock, _llvm_lock]
-
-_files = [path.stat() for path in sorted(Path(__file__).parent.rglob("*.py"))]
-# What all cached machine code depends on.
-_STAMP = tuple((file.st_mtime, file.st_size) for file in _files), BOUNDS_CHECKED
+_locks = [compiling, global_compiler_lock, _llvm_lock]
 
 
-def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+def sources_digest() -> str:
+    """The SHA-256 of all files of kernels: of what compiled code depends on."""
+    folder = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        content = path.read_bytes()
+        # The name and the length keep two files apart from one file with the content of both.
+        digest.update(f"{path.relative_to(folder).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()
+
+
+SOURCES = sources_digest()
+"""`sources_digest` of the files that this process has imported."""
+
+
+def cached(function: Callable[..., Any], **options: Any) -> Any:
     """Compile at the first call, or load what an earlier process compiled.
 
     Where neither the package's folder nor the user's cache folder is writable, Numba refuses to
@@ -53,35 +67,27 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
     except RuntimeError:
         return _strict(**options)(function)
 
-    # Numba looks only at the file of the function itself: after an edit of a formula that is
-    # compiled into it from another file, it would still serve the old code. So every cached kernel
-    # depends on all files here.
+    # Numba looks only at the file of the function itself, at its time and size: after an edit of a
+    # formula that is compiled into it from another file, it would still serve the old code. So
+    # every cached kernel depends on the content of all files here.
     cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(cache_file, "_source_stamp"):
-        cache_file._source_stamp = (cache_file._source_stamp, _STAMP)
+        cache_file._source_stamp = (SOURCES, BOUNDS_CHECKED)
     return kernel
 
 
-compiled_without_gil = partial(compiled, nogil=True)
-"""`compiled`, and other Python threads run meanwhile. It is for work that always takes longer than
-to release Python's lock."""
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile a part of kernels once, and link it into each kernel that calls it."""
+    return _strict(no_cpython_wrapper=True)(function)
 
 
-def compile_only(kernel: Any, *types: Any) -> None:
-    """Compile a kernel for these argument types, and let a call with any others raise a TypeError.
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a formula, or a part of a kernel, into each kernel that uses it, and never by itself.
 
-    The call itself then checks types, dimensions, layout and flags of the arrays it is given, which
-    in Python would cost more than the work; and no argument can cause another compilation.
+    A part that is `compiled` instead is compiled once by itself, and then linked into each kernel
+    around it.
     """
-    compile_for_types(kernel, types)
-    kernel.disable_compile()
-
-
-def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
-    """Compile a kernel for these argument types, unless that has been done."""
-    with _compiling:
-        if types not in kernel.overloads:
-            kernel.compile(types)
+    return _strict(inline="always")(function)
 
 
 def _begin_fork() -> None:
@@ -102,26 +108,3 @@ def _end_fork() -> None:
 
 if hasattr(os, "register_at_fork"):  # Windows has no `fork`
     os.register_at_fork(before=_begin_fork, after_in_parent=_end_fork, after_in_child=_end_fork)
-
-
-def is_cached(kernel: Any, types: tuple[Any, ...]) -> bool:
-    """Whether an earlier process left this kernel on disk, or this one has compiled it."""
-    # Loading changes what another thread may be compiling with.
-    with global_compiler_lock:
-        if types in kernel.overloads:
-            return True
-        return kernel._cache.load_overload(types, kernel.targetctx) is not None
-
-
-def can_be_cached(kernel: Any) -> bool:
-    """Whether there is a folder for the kernel's machine code."""
-    return kernel.stats.cache_path is not None
-
-
-def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a formula, or a part of a kernel, into each kernel that uses it, and never by itself.
-
-    A part that is `compiled` instead is compiled once by itself, and again within each kernel
-    around it.
-    """
-    return _strict(inline="always")(function)

@@ -21,25 +21,15 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
-from numba import config, types
+from numba import types
 from numba.extending import intrinsic
 
 from async_tnt.kernels.arithmetic import Arithmetic
 from async_tnt.kernels.jit import BOUNDS_CHECKED, inlined
+from async_tnt.kernels.target import LANES
 
-
-def _lanes_of_this_machine():
-    """Numbers in a register: 16 with AVX-512, otherwise 8."""
-    if getattr(config, "CPU_NAME", None):  # NUMBA_CPU_NAME: code for another machine
-        return 16 if "+avx512f" in (config.CPU_FEATURES or "") else 8
-    return 16 if llvm.get_host_cpu_features().get("avx512f", False) else 8
-
-
-LANES = _lanes_of_this_machine()
-"""Float32 numbers in a register."""
 INDEX = ir.IntType(64)
 VECTOR = ir.VectorType(ir.FloatType(), LANES)
 """A register."""

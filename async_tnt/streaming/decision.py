@@ -46,7 +46,8 @@ LIKELIEST = 3
 
 
 # eq=False: a comparison of two arrays is an array, which has no truth value
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+# Not frozen: that would make a decision take six times as long to create.
+@dataclass(slots=True, eq=False, repr=False)
 class Decision:
     """What a window shows at one moment: its class, or with a map model the objects in it."""
 

@@ -24,7 +24,6 @@ from async_tnt.kernels.decisions.trigger import NOT_DUE, ONLY_IF_SURE, until_due
 from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.networks.models.model import Model
-from async_tnt.streaming.compile_ahead import compile_for
 from async_tnt.streaming.decision import Decision
 from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
 from async_tnt.streaming.saved_state import dump_state, load_state, named_networks
@@ -46,6 +45,7 @@ from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.volume.regressor import Regressor
+from async_tnt.volume.single_event import SingleEventReader
 from async_tnt.volume.volume import TNTVolume
 
 
@@ -123,6 +123,7 @@ class Processor(TriggerAttributes):
         "_direct_volume",
         "_in_stretches",
         "_late_before_us",
+        "_read_one",
         "_restarts",
         "_running",
         "_seen_us",
@@ -158,10 +159,11 @@ class Processor(TriggerAttributes):
         )
         warn_if_never_due(self._triggers.settings, config)
         self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
+        self._read_one = SingleEventReader()
         self._accepts_late = late == "accept"
         self._restarts = RestartWatch(on_restart, config.window_us)
         self._windows = WindowScheduler(config, hop_us, start_us, networks.regressor)
-        self._prepare()
+        self._choose_ways()
         self.reset()
 
     def __repr__(self) -> str:
@@ -206,6 +208,10 @@ class Processor(TriggerAttributes):
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
+        if type(events) is not np.ndarray:
+            event = self._read_one(events)
+            if event is not None:
+                return self.push_one(*event)
         # the lines of `Running.begin`, a call of which would take another 30 ns
         running = self._running
         if running.now:
@@ -359,7 +365,7 @@ class Processor(TriggerAttributes):
         oldest = windows.oldest
         n_before = oldest.n_events
         last = min(columns.n, first + windows.room)
-        stop = until_due(self._triggers.state, n_before, first, last)
+        stop = until_due.call(self._triggers.state, n_before, first, last)
         absorbed = windows.absorb(columns, first, stop)
         # a full window gets its last decision when it is closed
         if not windows.is_full:
@@ -389,7 +395,7 @@ class Processor(TriggerAttributes):
         """
         oldest = self._windows.oldest
         triggers = self._triggers
-        why = why_due(triggers.state, n_before, oldest.n_events)
+        why = why_due.call(triggers.state, n_before, oldest.n_events)
         if why == NOT_DUE:
             return []
         decision = self._classifier.decide(
@@ -531,7 +537,7 @@ class Processor(TriggerAttributes):
     @one_at_a_time
     def classifier(self, classifier: Classifier) -> None:
         self._classifier.exchange(classifier, self._triggers.settings.confidence)
-        self._prepare()
+        self._choose_ways()
 
     @property
     def classes(self) -> tuple[str, ...] | None:
@@ -559,19 +565,11 @@ class Processor(TriggerAttributes):
         """Change the triggers; they apply to the open window, too."""
         self._classifier.check_confidence(settings.confidence)
         self._triggers.set(settings)
-        self._prepare()
+        self._choose_ways()
         if len(self._windows):
             oldest = self._windows.oldest
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
         self._windows.set_limit(self._triggers.next_due_us)
-
-    def _prepare(self) -> None:
-        """Compile the kernels that these settings need, so that no event has to wait for it."""
-        settings = self._triggers.settings
-        compile_for(
-            self.config, self.classifier, self._windows.regressor, settings, self.late != "accept"
-        )
-        self._choose_ways()
 
     def _choose_ways(self) -> None:
         """Choose the code paths for events that fit the settings."""
@@ -585,6 +583,8 @@ class Processor(TriggerAttributes):
         # With both, time would have to pass for several windows at once.
         by_time_and_overlap = overlap and settings.every_us is not None
         self._in_stretches = self._classifier.decides_in_stretches and not by_time_and_overlap
+        if self._in_stretches and (settings.by_event or settings.every_us is not None):
+            self._classifier.prepare_stretches()
 
     @one_at_a_time
     def save_state(self) -> bytes:
@@ -647,4 +647,4 @@ class Processor(TriggerAttributes):
         for name, value in state[1].items():
             setattr(self, name, value)
         # this process has perhaps compiled nothing yet
-        self._prepare()
+        self._choose_ways()

@@ -15,6 +15,7 @@ import numpy as np
 from async_tnt.base.checks import ParameterValueError, ParameterWarning, positive_int, real_number
 from async_tnt.base.messages import short
 from async_tnt.kernels.decisions import trigger as T
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.volume.config import TNTConfig
 
@@ -88,10 +89,6 @@ class Triggers:
         `kernels.decisions.trigger`.
     """
 
-    KERNELS = (T.schedule,)
-    EVENT_KERNELS = (T.until_due, T.why_due)
-    """Called where a single event may make a decision due."""
-
     def __init__(self, settings: TriggerSettings) -> None:
         self.state = np.zeros(T.SIZE)
         self._ints = self.state.view(np.int64)
@@ -101,6 +98,13 @@ class Triggers:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._ints = self.state.view(np.int64)  # a view again, and not a copy
+        self._prepare()  # perhaps in another process
+
+    def _prepare(self) -> None:
+        """Compile the kernels, so that no event waits for that."""
+        prepare(T.schedule)
+        if self.settings.by_event:
+            prepare(T.until_due, T.why_due)
 
     def set(self, settings: TriggerSettings) -> None:
         """Use these settings from now on."""
@@ -109,6 +113,7 @@ class Triggers:
         self._ints[T.EVERY_EVENTS] = settings.every_events or 0
         self._ints[T.EACH_EVENT] = settings.each_event
         self._ints[T.EVERY_US] = settings.every_us or 0
+        self._prepare()
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
         """Note that the window which starts at `start_us` is the oldest now; None: none is open."""
@@ -119,7 +124,7 @@ class Triggers:
 
     def schedule(self, now_us: int, start_us: int) -> None:
         """Set the next moment of `every_us` after `now_us` in the window from `start_us` on."""
-        T.schedule(self.state, now_us, start_us)
+        T.schedule.call(self.state, now_us, start_us)
 
     @property
     def next_due_us(self) -> int:

@@ -11,7 +11,9 @@ from async_tnt.base.checks import ParameterTypeError, ParameterValueError
 from async_tnt.base.messages import one_line, short
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.decisions.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
-from async_tnt.kernels.decisions.objects import N_KNOWN, NEXT_NUMBER
+from async_tnt.kernels.decisions.objects import N_KNOWN, NEXT_NUMBER, locate_on_map
+from async_tnt.kernels.entry_points import prepare
+from async_tnt.kernels.volume.readout import cells_to_float32
 from async_tnt.networks.models.compiled import CompiledClassifier
 from async_tnt.networks.models.objects import (
     LOGITS,
@@ -54,9 +56,6 @@ class WindowClassifier:
     classes : class names; if none were given, "0", "1", ... after the first answer.
     decides_in_stretches : whether `decide_stretch` can be called.
     """
-
-    KERNELS = (softmax,)
-    """Called for other classifiers than our own compiled one."""
 
     def __init__(
         self,
@@ -101,6 +100,23 @@ class WindowClassifier:
         self._reader = reader
         self._tracks = tracks
         self.decides_in_stretches = in_stretches
+        self._prepare()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._prepare()  # perhaps in another process
+
+    def _prepare(self) -> None:
+        """Compile the kernels for other classifiers than our own, so that no event waits for it."""
+        if self._compiled is None:
+            prepare(softmax, cells_to_float32)
+            if self._reader is not None:
+                prepare(locate_on_map)
+
+    def prepare_stretches(self) -> None:
+        """Compile the kernel of `decide_stretch`, so that no event waits for that."""
+        assert self._compiled is not None
+        self._compiled.prepare_stretches()
 
     def _check_compiled(self, compiled: CompiledClassifier) -> None:
         """Refuse a compiled classifier of another shape, other classes or another sensor."""
@@ -159,10 +175,8 @@ class WindowClassifier:
         ParameterValueError : there is not one finite logit for each class.
         Exception : what the classifier raises passes through.
         """
-        n_events = volume.n_events
-        start_us = volume.start_us
-        time_us = volume.newest_us if n_events else start_us
-        window = (start_us, time_us, n_events)
+        window = volume.moment()
+        start_us, time_us, n_events = window
 
         compiled = self._compiled
         if compiled is not None and compiled.reader is not None:
@@ -178,7 +192,7 @@ class WindowClassifier:
                 n = reader.read(logits, self._tracks, time_us, trigger != "fire")
                 return self._decision_of_map(n, logits, window, trigger, complete)
             probabilities = np.empty(logits.size)
-            index = softmax(logits, probabilities) if logits.size else -1
+            index = softmax.call(logits, probabilities) if logits.size else -1
 
         if index < 0 and logits.size:
             raise _not_finite(logits)

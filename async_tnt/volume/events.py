@@ -15,12 +15,10 @@ from numba import NumbaError
 
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.messages import short
-from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.records import (
     BAD,
-    CHECK_TYPES,
     KIND,
-    LOAD_TYPES,
     MAX_TIME_US,
     check_columns,
     find_late,
@@ -94,17 +92,13 @@ class EventDecoder:
     n_dropped : how many late events were dropped.
     """
 
-    KERNELS = (load_records, check_columns)
-    LATE_KERNELS = (find_late,)
-    """Called where `late` is not `accept`."""
-
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
             rule = f"must be one of {', '.join(LATE_POLICIES)}"
             raise ParameterValueError("late", rule, short(late))
-        _compile()
         self.sensor = sensor
         self.late: Late = late
+        self._prepare()
         self._advice = advice
         self.reset()
         self._scratch = empty_columns(FIRST_CAPACITY)
@@ -115,7 +109,13 @@ class EventDecoder:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        _compile()  # perhaps in another process
+        self._prepare()  # perhaps in another process
+
+    def _prepare(self) -> None:
+        """Compile the kernels, so that no packet waits for that."""
+        prepare(load_records, check_columns)
+        if self.late != "accept":
+            prepare(find_late)
 
     def reset(self) -> None:
         """Forget the newest time and the count of dropped events."""
@@ -204,7 +204,7 @@ class EventDecoder:
             raw = np.frombuffer(events, np.uint8)
         except ValueError:  # the memory is not contiguous
             return None
-        first_us = load_records(raw, self._layout, n, width, height, t, x, y, p)
+        first_us = load_records.call(raw, self._layout, n, width, height, t, x, y, p)
         if first_us == BAD:
             return None
         self.first_us = first_us
@@ -223,7 +223,7 @@ class EventDecoder:
             return None
         width, height = self.sensor
         try:
-            first_us = check_columns(t, x, y, p, width, height)
+            first_us = check_columns.checked(t, x, y, p, width, height)
         except (TypeError, NumbaError):  # the kernel is not compiled for such an array
             return None
         if first_us == BAD:
@@ -242,7 +242,7 @@ class EventDecoder:
             return columns
         t = columns.t[: columns.n]
         late = np.empty(t.size, np.bool_)
-        n_late, newest_us = find_late(t, self.newest_us, late)
+        n_late, newest_us = find_late.call(t, self.newest_us, late)
         if n_late and self.late == "raise":
             i = int(np.argmax(late))
             newest = max(self.newest_us, int(t[:i].max(initial=-1)))
@@ -260,12 +260,6 @@ class EventDecoder:
         return Columns(
             t[kept], columns.x[:n][kept], columns.y[:n][kept], columns.p[:n][kept], n - n_late
         )
-
-
-def _compile() -> None:
-    """Compile the kernels that decode packets, and forbid their compilation for other arguments."""
-    compile_only(check_columns, *CHECK_TYPES)
-    compile_only(load_records, *LOAD_TYPES)
 
 
 def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:

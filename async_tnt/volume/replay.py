@@ -9,9 +9,12 @@ Three settings need a replay, because they use something that is known only when
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from async_tnt.base.running import Running, one_at_a_time
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import absorb, store_events
 from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume
@@ -44,8 +47,6 @@ class ReplayBuffer:
     regressor : the callable of landmark `regressor`; None if the landmark is another one.
     """
 
-    KERNELS = (store_events, empty_volume, absorb, cells_to_float32)
-
     def __init__(self, config: TNTConfig, regressor: Regressor | None) -> None:
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config
@@ -54,7 +55,18 @@ class ReplayBuffer:
         self._raw = None if regressor is None else new_state(self._raw_config)
         self._columns = empty_columns(FIRST_CAPACITY)
         self._running = Running("Processor or TNTVolume")
+        self._prepare()
         self.reset()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._prepare()  # perhaps in another process
+
+    def _prepare(self) -> None:
+        """Compile the kernels, so that no event waits for that."""
+        prepare(store_events, empty_volume, absorb)
+        if self._regressor is not None:
+            prepare(cells_to_float32)
 
     @one_at_a_time
     def reset(self) -> None:
@@ -82,7 +94,7 @@ class ReplayBuffer:
         # The memory is a limit, too: another thread may have changed the events' times since the
         # events were counted.
         room = min(self._n_most, self._columns.t.size)
-        return int(store_events(buffer, *columns[:4], first, last, *self._columns[:4], room))
+        return int(store_events.call(buffer, *columns[:4], first, last, *self._columns[:4], room))
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y), in grid pixels, of a window with events.
@@ -114,9 +126,9 @@ class ReplayBuffer:
 
         if config.window_events is not None:
             set_duration(raw, config, _duration_us(buffer))
-        empty_volume(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
-        absorb(raw, *self._columns[:4], 0, _n_events(buffer))
-        cells_to_float32(raw, array)
+        empty_volume.call(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
+        absorb.call(raw, *self._columns[:4], 0, _n_events(buffer))
+        cells_to_float32.call(raw, array)
         array.flags.writeable = False
         return array
 
@@ -142,13 +154,13 @@ class ReplayBuffer:
         n_events = _n_events(buffer)
         saved = ints[: S.NUM_X].copy()
         try:
-            empty_volume(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
+            empty_volume.call(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
             # the counts go on from where the window began
             ints[S.CLOSED_KEPT] = saved[S.CLOSED_KEPT]
             ints[S.CLOSED_TAU_ZERO] = saved[S.CLOSED_TAU_ZERO]
             ints[S.KEPT] = saved[S.CLOSED_KEPT]
             ints[S.TAU_ZERO] = saved[S.CLOSED_TAU_ZERO]
-            absorb(buffer, *self._columns[:4], 0, n_events)
+            absorb.call(buffer, *self._columns[:4], 0, n_events)
             for slot in UNCHANGED_BY_REPLAY:
                 ints[slot] = saved[slot]
         except BaseException:  # such as Ctrl-C: the next read replays again

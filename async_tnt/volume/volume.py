@@ -9,6 +9,7 @@ import numpy as np
 
 from async_tnt.base.checks import checked_time
 from async_tnt.base.running import Running, one_at_a_time
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import LATE, REFUSED, absorb, absorb_one
 from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume
@@ -17,6 +18,7 @@ from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.volume.regressor import Regressor, check_regressor
 from async_tnt.volume.replay import ReplayBuffer
+from async_tnt.volume.single_event import SingleEventReader
 from async_tnt.volume.state import new_state, next_epoch
 
 UNOPENED = -1
@@ -61,16 +63,14 @@ class TNTVolume:
     (1.0, (16.5, 16.5))
     """
 
-    KERNELS = (empty_volume, absorb, absorb_one)
-    ARRAY_KERNELS = (cells_to_float32,)
-    """Called when `array` is read."""
-
     def __init__(
         self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None
     ) -> None:
         check_regressor(config, regressor)
+        prepare(empty_volume, absorb, absorb_one)
         self.config = config
         self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
+        self._read_one = SingleEventReader()
         self._buffer = new_state(config)
         self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)
@@ -88,6 +88,7 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
+        prepare(empty_volume, absorb, absorb_one)  # perhaps in another process
         # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
@@ -130,7 +131,7 @@ class TNTVolume:
     def _empty(self, start_us: int, limit_us: int) -> None:
         if self._replay is not None:
             self._replay.close(self._buffer, self._array)
-        empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
+        empty_volume.call(self._buffer, self._array, start_us, limit_us, next_epoch())
 
     def update(self, events: Any) -> int:
         """Add a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
@@ -143,6 +144,10 @@ class TNTVolume:
         ------
         ValueError, TypeError : the packet is invalid. None of its events is added then.
         """
+        if type(events) is not np.ndarray:
+            event = self._read_one(events)
+            if event is not None:
+                return self.update_one(*event)
         self._running.begin()
         try:
             return self._update(self._decoder.decode(events))
@@ -170,7 +175,7 @@ class TNTVolume:
             if (
                 is_plain
                 and not self._running.now
-                and absorb_one(self._buffer, t, x, y, p * 1) <= LATE
+                and absorb_one.call(self._buffer, t, x, y, p * 1) <= LATE
             ):
                 return 0
         except (TypeError, OverflowError):
@@ -194,7 +199,7 @@ class TNTVolume:
         try:
             # Numba would compile for a bool, a float or a NumPy scalar
             if type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain:
-                answer: int = absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1
+                answer: int = absorb_one.call(self._buffer, t, x, y, p * 1)  # True becomes 1
                 return answer
         except (TypeError, OverflowError):
             pass  # the decoder names the mistake
@@ -207,7 +212,7 @@ class TNTVolume:
         """
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
-        absorbed: int = absorb(
+        absorbed: int = absorb.call(
             self._buffer, columns.t, columns.x, columns.y, columns.p, first, last
         )
         return absorbed
@@ -248,7 +253,7 @@ class TNTVolume:
         try:
             buffer = self.state()
             if self._ints[S.N_LOG] > self._ints[S.N_READ]:
-                cells_to_float32(buffer, self._array)
+                cells_to_float32.call(buffer, self._array)
             return self._view
         finally:
             self._running.now = False
@@ -335,6 +340,17 @@ class TNTVolume:
     def n_events(self) -> int:
         """Events in the open window so far."""
         return int(self._ints[S.N])
+
+    def moment(self) -> tuple[int, int, int]:
+        """The open window's start, the time of its newest event, and the number of its events.
+
+        The time is the start if the window has no events.
+        """
+        # one slice: to read the three one by one takes three times as long
+        slots = self._ints[S.START_US : S.NEWEST_US + 1].tolist()
+        start_us = slots[0]
+        n = slots[S.N - S.START_US]
+        return start_us, slots[-1] if n else start_us, n
 
     @property
     def n_received(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from async_tnt import CompiledClassifier
 from async_tnt.kernels.network import program as P
-from async_tnt.kernels.simd import LANES
+from async_tnt.kernels.target import LANES
 
 
 class StepWork(NamedTuple):

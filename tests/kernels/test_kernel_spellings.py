@@ -15,7 +15,8 @@ import async_tnt.kernels.decisions.classify  # noqa: F401 (which registers the k
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.functions import FUNCTIONS, apply_function
 from async_tnt.kernels.network.tiles import SIZES
-from async_tnt.kernels.simd import LANES, SPELLINGS
+from async_tnt.kernels.simd import SPELLINGS
+from async_tnt.kernels.target import LANES
 
 
 @cache

@@ -18,6 +18,7 @@ from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, kernels
 from async_tnt.kernels.decisions import classify
+from async_tnt.kernels.entry_points import ENTRY_POINTS
 
 
 def test_no_kernel_may_reorder_arithmetic():
@@ -29,12 +30,13 @@ def test_no_kernel_may_reorder_arithmetic():
     for module in walk_packages(kernels.__path__, f"{kernels.__name__}."):
         values = vars(import_module(module.name)).values()
         compiled += [kernel for kernel in values if isinstance(kernel, CPUDispatcher)]
+    compiled += [entry.kernel for entry in ENTRY_POINTS]
     assert len(compiled) > 60
     for kernel in compiled:
         assert not kernel.targetoptions.get("fastmath")
         assert kernel.targetoptions["error_model"] == "numpy"
     # other threads run while a packet is decided
-    assert classify.absorb_and_decide.targetoptions["nogil"]
+    assert classify.absorb_and_decide.kernel.targetoptions["nogil"]
 
 
 @pytest.mark.parametrize("network", [network for network in NETWORKS if network.widths], ids=str)

@@ -5,9 +5,10 @@ kernels here have more than eight: to unpack a tuple of arrays takes Numba longe
 """
 
 import numpy as np
+from numba import float32, float64, int64
 
 from async_tnt.kernels.decisions import trigger as T
-from async_tnt.kernels.jit import compiled, compiled_without_gil
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.lock import LARGE, release_gil, take_gil
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.empty_window import begin_window
@@ -15,6 +16,7 @@ from async_tnt.kernels.network.forward import forward
 from async_tnt.kernels.network.sync_input import sync_input
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import absorb
+from async_tnt.kernels.volume.records import COLUMNS
 
 # why `absorb_and_decide` returned
 DONE = 0  # all events up to `last`, or to the window's end, have been absorbed
@@ -29,8 +31,34 @@ NOTED_TRIGGER = 2  # why it was due, see `trigger`
 NOTED_CLASS = 3
 DECISION_FIELDS = 4  # numbers in a row
 
+DECISIONS = (float32[:, ::1], float64[:, ::1], int64[:, ::1])
+"""Numba's types of the arrays of several decisions: logits, probabilities, notes."""
 
-@compiled
+
+@entry_point(float32[::1], float64[::1])
+def softmax(logits, probabilities):
+    """probabilities[k] = exp(logits[k] - max) / sum, in float64.
+
+    Returns
+    -------
+    int : the first class of the largest logit. -1, and nothing written, if a logit is not finite.
+    """
+    largest = 0
+    for k in range(logits.size):
+        if not np.isfinite(logits[k]):
+            return -1
+        if logits[k] > logits[largest]:
+            largest = k
+    total = 0.0
+    for k in range(logits.size):
+        probabilities[k] = np.exp(np.float64(logits[k]) - np.float64(logits[largest]))
+        total += probabilities[k]
+    for k in range(logits.size):
+        probabilities[k] /= total
+    return largest
+
+
+@entry_point(S.STATE, *P.NETWORK, float32[::1], float64[::1], calls=(sync_input, forward, softmax))
 def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
     """Logits and probabilities of a volume. Only what has changed since the last call is computed.
 
@@ -58,7 +86,17 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
     return best
 
 
-@compiled_without_gil
+@entry_point(
+    S.STATE,
+    *COLUMNS,
+    int64,
+    int64,
+    T.TRIGGER,
+    *P.NETWORK,
+    *DECISIONS,
+    calls=(absorb, classify_cells, T.until_due, T.why_due, T.schedule),
+    nogil=True,
+)
 def absorb_and_decide(
     buffer,
     t,
@@ -141,26 +179,3 @@ def absorb_and_decide(
             ints[S.LIMIT_US] = min(times[T.DUE_US], end_us)
     ints[S.WITHOUT_GIL] = 0
     return first, n, end
-
-
-@compiled
-def softmax(logits, probabilities):
-    """probabilities[k] = exp(logits[k] - max) / sum, in float64.
-
-    Returns
-    -------
-    int : the first class of the largest logit. -1, and nothing written, if a logit is not finite.
-    """
-    largest = 0
-    for k in range(logits.size):
-        if not np.isfinite(logits[k]):
-            return -1
-        if logits[k] > logits[largest]:
-            largest = k
-    total = 0.0
-    for k in range(logits.size):
-        probabilities[k] = np.exp(np.float64(logits[k]) - np.float64(logits[largest]))
-        total += probabilities[k]
-    for k in range(logits.size):
-        probabilities[k] /= total
-    return largest

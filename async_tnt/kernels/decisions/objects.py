@@ -24,8 +24,10 @@ more than eight: to unpack a tuple of arrays takes Numba longer than to take the
 """
 
 import numpy as np
+from numba import boolean, float32, float64, int64, uint64
 
-from async_tnt.kernels.jit import compiled, compiled_without_gil
+from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import compiled
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.changes import EVERY_BIT, FIRST_ROW, LAST_ROW, MAX_ROW, WORDS
 from async_tnt.kernels.network.empty_window import begin_window
@@ -86,7 +88,49 @@ KNOWN_Y = 2
 KNOWN_US = 3  # when it was seen last
 
 
-@compiled_without_gil
+SCORES = (int64[::1], float64[:, ::1], uint64[:, ::1])
+"""Numba's types of `about`, the scores and the peaks."""
+OBJECTS = (float64[:, ::1], float64[:, ::1], float64[:, ::1], int64, boolean)
+"""Numba's types of what objects are listed in and tracked by: probabilities, `found`, `tracks`, the
+time, and whether to keep the tracks."""
+
+
+@entry_point(float32[::1], *SCORES)
+def score_map(maps, about, scores, peaks):
+    """Scores and peaks of a whole map."""
+    for y in range(about[ROWS]):
+        for x in range(about[COLUMNS]):
+            _score(maps, about, scores, y, x)
+    for y in range(about[ROWS]):
+        for word in range(peaks.shape[1]):
+            _note_peaks(scores, peaks, y, word, EVERY_BIT)
+
+
+@entry_point(float32[::1], *SCORES, *OBJECTS)
+def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
+    """List the objects of a map whose scores and peaks are known; see `locate_on_map`."""
+    if about[NOT_FINITE] > 0:
+        return -1
+    n = np.int64(0)  # With a literal 0, `_number` would be compiled twice.
+    for y in range(peaks.shape[0]):
+        for word in range(peaks.shape[1]):
+            left = peaks[y, word]
+            while left != 0:
+                x = 64 * word + trailing_zeros(left)
+                best = _softmax_at(maps, about, y, x, probabilities[n])
+                found[n, PROBABILITY] = probabilities[n, best]
+                found[n, CLASS] = best
+                _position_at(scores, y, x, tracks[ON_SENSOR], found[n])
+                left &= left - np.uint64(1)
+                n += 1
+    _sort(probabilities, found, n)
+    _number(found, n, tracks, time_us, keep)
+    return n
+
+
+@entry_point(
+    S.STATE, *P.NETWORK, *SCORES, *OBJECTS, calls=(sync_input, forward, list_objects), nogil=True
+)
 def locate_cells(
     buffer,
     program,
@@ -124,7 +168,7 @@ def locate_cells(
     return list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
 
 
-@compiled_without_gil
+@entry_point(float32[::1], *SCORES, *OBJECTS, calls=(score_map, list_objects), nogil=True)
 def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
     """The objects of a whole map.
 
@@ -147,17 +191,6 @@ def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time
     """
     score_map(maps, about, scores, peaks)
     return list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
-
-
-@compiled
-def score_map(maps, about, scores, peaks):
-    """Scores and peaks of a whole map."""
-    for y in range(about[ROWS]):
-        for x in range(about[COLUMNS]):
-            _score(maps, about, scores, y, x)
-    for y in range(about[ROWS]):
-        for word in range(peaks.shape[1]):
-            _note_peaks(scores, peaks, y, word, EVERY_BIT)
 
 
 @compiled
@@ -255,28 +288,6 @@ def _is_peak(scores, y, x):
             if other > score or (is_before and other == score):
                 return False
     return True
-
-
-@compiled
-def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
-    """List the objects of a map whose scores and peaks are known; see `locate_on_map`."""
-    if about[NOT_FINITE] > 0:
-        return -1
-    n = np.int64(0)  # With a literal 0, `_number` would be compiled twice.
-    for y in range(peaks.shape[0]):
-        for word in range(peaks.shape[1]):
-            left = peaks[y, word]
-            while left != 0:
-                x = 64 * word + trailing_zeros(left)
-                best = _softmax_at(maps, about, y, x, probabilities[n])
-                found[n, PROBABILITY] = probabilities[n, best]
-                found[n, CLASS] = best
-                _position_at(scores, y, x, tracks[ON_SENSOR], found[n])
-                left &= left - np.uint64(1)
-                n += 1
-    _sort(probabilities, found, n)
-    _number(found, n, tracks, time_us, keep)
-    return n
 
 
 @compiled

@@ -5,8 +5,9 @@ as `trigger`, and as `ints`, a view of the same memory as int64.
 """
 
 import numpy as np
+from numba import float64, int64
 
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.volume import state as S
 
 # trigger
@@ -20,6 +21,9 @@ DUE_US = 4  # the next moment of EVERY_US in the oldest window; NEVER_US: none
 N_AT_DECISION = 5  # events of the oldest window at its last triggered decision
 SIZE = 6  # numbers in the buffer
 
+TRIGGER = float64[::1]
+"""Numba's type of the buffer."""
+
 # why a decision is due
 NOT_DUE = 0
 ONLY_IF_SURE = 1  # it counts only if it reaches the confidence
@@ -28,7 +32,7 @@ BY_CONFIDENCE = 3
 BY_TIME = 4
 
 
-@compiled
+@entry_point(TRIGGER, int64, int64, int64)
 def until_due(trigger, n, first, last):
     """The first of the events `first <= i < last` that must wait until a decision has been tested.
 
@@ -49,7 +53,7 @@ def until_due(trigger, n, first, last):
     return last
 
 
-@compiled
+@entry_point(TRIGGER, int64, int64)
 def why_due(trigger, n_before, n):
     """Why a decision is due: the one rule for it. One decision at most is made at an event.
 
@@ -70,7 +74,7 @@ def why_due(trigger, n_before, n):
     return ONLY_IF_SURE if ints[EACH_EVENT] != 0 else NOT_DUE
 
 
-@compiled
+@entry_point(TRIGGER, int64, int64)
 def schedule(trigger, now_us, start_us):
     """Set DUE_US to the first moment of EVERY_US after `now_us`.
 

@@ -6,8 +6,10 @@ There is no second implementation of it, so an update and a whole pass cannot di
 """
 
 import numpy as np
+from numba import int64, uint64
 
-from async_tnt.kernels.jit import compiled, compiled_without_gil, inlined
+from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.changes import (
     EVERY_BIT,
@@ -25,40 +27,11 @@ from async_tnt.kernels.network.changes import (
     words_of,
 )
 from async_tnt.kernels.network.tiles import PLACES, channel_tile, mix_tile
-from async_tnt.kernels.simd import LANES, trailing_zeros
+from async_tnt.kernels.simd import trailing_zeros
+from async_tnt.kernels.target import LANES
 
 
-@compiled_without_gil
-def forward(program, weights, maps, places):
-    """Bring the output up to date with the input.
-
-    Parameters
-    ----------
-    program, weights, maps, places : the network's, see `program`. All but the weights are updated
-        in place.
-    """
-    bits = places.view(np.uint64)
-    for step in range(program[P.N_STEPS]):
-        at = P.FIRST_STEP + step * P.STEP_SIZE
-        forget_changes(program, at + P.CHANGED, bits)
-        n = _list_dirty(program, at, places, bits)
-        program[at + P.N_COMPUTED] = n
-        if n == 0:
-            continue
-        first_row = np.int64(places[program[P.LIST]]) >> 16
-        last_row = np.int64(places[program[P.LIST] + n - 1]) >> 16
-        note_rows(program, at + P.CHANGED, first_row, last_row)
-        if program[at + P.KIND] == P.MIX:
-            mix(program, at, n, weights, maps, places, bits)
-        elif program[at + P.KIND] == P.SPREAD:
-            _spread(program, at, n, maps.view(np.uint32), places, bits)
-        else:
-            _by_channel(program, at, n, weights, maps, places, bits)
-        add_changes(program, at + P.TOUCHED, at + P.CHANGED, bits)
-    program[P.STALE] = 0
-
-
-@compiled
+@entry_point(int64[::1], int64, int64, *P.NETWORK[1:], uint64[::1])
 def mix(program, at, n, weights, maps, places, bits):
     """Compute a convolution at the n places of the list, tile by tile."""
     first_group = program[at + P.WEIGHTS]
@@ -104,6 +77,36 @@ def mix(program, at, n, weights, maps, places, bits):
 
         _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
         k += n_places
+
+
+@entry_point(*P.NETWORK, calls=(mix,), nogil=True)
+def forward(program, weights, maps, places):
+    """Bring the output up to date with the input.
+
+    Parameters
+    ----------
+    program, weights, maps, places : the network's, see `program`. All but the weights are updated
+        in place.
+    """
+    bits = places.view(np.uint64)
+    for step in range(program[P.N_STEPS]):
+        at = P.FIRST_STEP + step * P.STEP_SIZE
+        forget_changes(program, at + P.CHANGED, bits)
+        n = _list_dirty(program, at, places, bits)
+        program[at + P.N_COMPUTED] = n
+        if n == 0:
+            continue
+        first_row = np.int64(places[program[P.LIST]]) >> 16
+        last_row = np.int64(places[program[P.LIST] + n - 1]) >> 16
+        note_rows(program, at + P.CHANGED, first_row, last_row)
+        if program[at + P.KIND] == P.MIX:
+            mix(program, at, n, weights, maps, places, bits)
+        elif program[at + P.KIND] == P.SPREAD:
+            _spread(program, at, n, maps.view(np.uint32), places, bits)
+        else:
+            _by_channel(program, at, n, weights, maps, places, bits)
+        add_changes(program, at + P.TOUCHED, at + P.CHANGED, bits)
+    program[P.STALE] = 0
 
 
 @inlined

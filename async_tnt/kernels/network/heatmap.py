@@ -4,11 +4,12 @@ l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])          in grid pixe
 """
 
 import numpy as np
+from numba import float32, int64
 
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.entry_points import entry_point
 
 
-@compiled
+@entry_point(float32[::1], int64, int64, int64)
 def centroid(exponent, pitch, width, height):
     """The expectation (x, y) under a softmax over the heatmap's places.
 

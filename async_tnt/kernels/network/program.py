@@ -40,6 +40,16 @@ The weights of SUM, MAXIMUM and FUNCTION, with C channels padded to a multiple o
 A SUM may also have other weights at each place.
 """
 
+from numba import float32, int64, types, uint32
+
+NETWORK = (
+    int64[::1],
+    types.Array(float32, 1, "C", readonly=True),
+    float32[::1],
+    uint32[::1],
+)
+"""Numba's types of the four arrays."""
+
 # header
 N_STEPS = 0
 CHANNELS = 1  # channels of the volume

@@ -6,8 +6,9 @@ further.
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import float32, int64, types, uint32
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.changes import (
@@ -21,8 +22,11 @@ from async_tnt.kernels.simd import count_bits, trailing_zeros, vectorized
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.readout import cell_at, row_at
 
+VOLUME = types.Array(float32, 3, "C", readonly=True)
+"""Numba's type of a volume that is given as an array."""
 
-@compiled
+
+@entry_point(S.STATE, int64[::1], float32[::1], uint32[::1])
 def sync_input(buffer, program, maps, places):
     """Copy a volume to the input, from its cells, and note which places differ.
 
@@ -49,7 +53,7 @@ def sync_input(buffer, program, maps, places):
     program[P.N_SEEN] = ints[S.N_LOG]
 
 
-@compiled
+@entry_point(VOLUME, int64[::1], float32[::1])
 def set_input(volume, program, maps):
     """Copy an array to the input, and mark all of it as changed. The planes stay as they were.
 

@@ -19,7 +19,8 @@ from async_tnt.kernels.arithmetic import Arithmetic
 from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.functions import applied, apply_function, choose
-from async_tnt.kernels.simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
+from async_tnt.kernels.simd import INDEX, VECTOR, ZERO, fma, vectorized, whole
+from async_tnt.kernels.target import LANES
 
 SIZES = (1, 2, 4, 6, 8, 12) if LANES == 16 else (1, 2, 4, 6)
 """How many places a tile of a MIX may have: as many as fit in the registers, which are 32 of 16

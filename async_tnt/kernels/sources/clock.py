@@ -6,7 +6,8 @@ The rule, with an example, is in `async_tnt.sources.live.clock`.
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.volume.records import MAX_TIME_US, load, store
 
 # The clock, int64: the state between packets. Its times are the sender's, without the offset.
@@ -32,11 +33,9 @@ LATEST_START_US = 4_102_444_800_000_000
 """The year 2100 on a clock that counts from 1970: a stream starts before that."""
 NO_LIMIT = -1
 """Instead of the largest jump: every time is accepted."""
-ARGUMENTS = (uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
-"""The arguments of `repair_times`."""
 
 
-@compiled
+@entry_point(uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
 def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
     """Drop the events of one packet whose time jumps, and shift the times of the others.
 

@@ -6,9 +6,10 @@ Then `clock.repair_times` drops events whose times jump.
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.sources.clock import NEWEST, repair_times
-from async_tnt.kernels.volume.records import RAW_TYPE, load, store
+from async_tnt.kernels.volume.records import RAW, load, store
 
 # The formats of datagrams, which `async_tnt.sources.live.datagrams` describes.
 T64 = 0
@@ -17,12 +18,22 @@ SPIF = 2
 SPIF_T32 = 3
 RECORD_BYTES = 13
 """Bytes of a record of EVENT_DTYPE."""
-ARGUMENTS = (RAW_TYPE, int64, int64[::1], int64[::1], *(int64,) * 4, int64[::1], uint8[::1])
-"""The arguments of `decode_events`."""
 
 
 # Ten parameters: Numba takes arrays faster one by one than in a tuple.
-@compiled
+@entry_point(
+    RAW,
+    int64,
+    int64[::1],
+    int64[::1],
+    int64,
+    int64,
+    int64,
+    int64,
+    int64[::1],
+    uint8[::1],
+    calls=(repair_times,),
+)
 def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_jump, clock, out):
     """The good events of some datagrams, in order.
 

@@ -12,8 +12,11 @@ Prophesee, Metavision documentation: data encoding formats EVT 2.0, EVT 2.1 and 
 """
 
 import numpy as np
+from numba import int64, types, uint16, uint32
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.volume.records import COLUMNS
 
 # `state`, int64
 HIGH = 0  # the unwrapped high part of the time; -1: not known yet
@@ -39,6 +42,11 @@ VECT_8 = 5
 EVT_TIME_LOW = 6
 EVT3_TIME_HIGH = 8
 
+WORDS_32 = (types.Array(uint32, 1, "C", readonly=True), int64, int64[::1])
+"""Numba's types of words of 32 bits, where to begin, and the state."""
+WORDS_16 = (types.Array(uint16, 1, "C", readonly=True), *WORDS_32[1:])
+"""The same for words of 16 bits."""
+
 
 @compiled
 def next_time(time, raw, period):
@@ -61,7 +69,7 @@ def next_time(time, raw, period):
     return time + step
 
 
-@compiled
+@entry_point(int64[::1], int64, int64)
 def unwrap_times(t, time, period):
     """Replace each of t by its `next_time`. Returns the last one.
 
@@ -76,7 +84,7 @@ def unwrap_times(t, time, period):
     return time
 
 
-@compiled
+@entry_point(*WORDS_32, *COLUMNS)
 def decode_evt2(words, start, state, t, x, y, p):
     """32-bit words, one event each: type (4 bits), low time (6), x (11), y (11)."""
     n = 0
@@ -99,7 +107,7 @@ def decode_evt2(words, start, state, t, x, y, p):
     return n, i
 
 
-@compiled
+@entry_point(*WORDS_32, *COLUMNS)
 def decode_evt21(words, start, state, t, x, y, p):
     """Pairs of 32-bit words, upper half first.
 
@@ -131,7 +139,7 @@ def decode_evt21(words, start, state, t, x, y, p):
 
 
 # One function: a part of its own for vectors, even if inlined, made it 10% slower.
-@compiled
+@entry_point(*WORDS_16, *COLUMNS)
 def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901
     """16-bit words: the type (4 bits), and what changed (12 bits).
 

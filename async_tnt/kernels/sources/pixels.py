@@ -5,9 +5,10 @@ Another thread may change them meanwhile, so a pixel is read once, and never lea
 """
 
 import numpy as np
+from numba import int64, uint8, uint16
 
-from async_tnt.kernels.jit import compiled_without_gil
-from async_tnt.kernels.volume.records import store
+from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.volume.records import COLUMNS, store
 
 # What happens to the events of a pixel. They are kept;
 KEEP = 0
@@ -21,7 +22,7 @@ RECORD_BYTES = 13
 
 
 # Nine parameters: Numba takes columns faster one by one than in a tuple.
-@compiled_without_gil
+@entry_point(*COLUMNS, int64, uint8[:, ::1], int64, int64, uint8[::1], nogil=True)
 def keep_events(t, x, y, p, n, verdicts, left, top, records):
     """Write the events whose pixel is kept as packed records, in their order.
 
@@ -55,7 +56,7 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
     return kept, masked
 
 
-@compiled_without_gil
+@entry_point(uint16[::1], uint16[::1], int64, int64[:, ::1], nogil=True)
 def count_events(x, y, n, counts):
     """Count the first n events by their pixels: counts[y_i, x_i] += 1.
 

@@ -5,11 +5,14 @@ than in a tuple, so two kernels have nine parameters.
 """
 
 import numpy as np
+from numba import complex128, float64, int64
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.volume.records import COLUMNS
 
 
-@compiled
+@entry_point(*COLUMNS, int64, float64, float64, int64, float64[:, :, ::1])
 def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     """The change of log luminance since the window's start, as the events tell it.
 
@@ -35,7 +38,13 @@ def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
         frames[k] += frames[k - 1]
 
 
-@compiled
+@entry_point(
+    complex128[:, :, ::1],
+    float64[:, ::1],
+    *(float64[::1],) * 4,
+    *(float64[:, ::1],) * 2,
+    complex128[:, ::1],
+)
 def evidence_terms(
     spectra, path, frequencies_x, frequencies_y, weights, prior, whitening, gradient, moving
 ):
@@ -118,7 +127,7 @@ def evidence_terms(
     return evidence
 
 
-@compiled
+@entry_point(float64[:, :, ::1], float64[:, ::1], float64[:, :, ::1], int64, float64, float64)
 def move_periodic(frames, image, places, first_row, origin, step):
     """Pictures of a fine image that repeats itself, moved over the sensor.
 

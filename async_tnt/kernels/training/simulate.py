@@ -1,11 +1,13 @@
 """An event camera in front of a moving image: what its pixels follow, and their events."""
 
 import numpy as np
+from numba import float64
 
-from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import inlined
 
 
-@compiled
+@entry_point(float64[:, :, ::1], float64[::1], float64, float64)
 def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
     """Each pixel's light behind a low-pass of first order, which is slower in the dark.
 
@@ -39,7 +41,7 @@ def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
     return followed
 
 
-@compiled
+@entry_point(float64[:, :, ::1], float64[::1], *(float64[:, ::1],) * 3, float64)
 def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):
     """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
 

@@ -13,12 +13,15 @@ Arguments that both kernels take:
 """
 
 import numpy as np
+from numba import float32, float64, int32, int64, types, uint8, uint16, uint64
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import absorb
 from async_tnt.kernels.volume.landmark import displace_fixed
 from async_tnt.kernels.volume.readout import cell_at, cells_to_float32, empty_volume, mark_unread
+from async_tnt.kernels.volume.records import COLUMNS
 from async_tnt.kernels.volume.splat import grid_of, place_event
 
 # What is in a window: its recording, or one of the kinds of nothing of `_of_nothing`.
@@ -35,7 +38,34 @@ MEAN = 1
 GIVEN = 2
 
 
-@compiled
+BATCH = (
+    types.Tuple(COLUMNS),
+    types.Tuple((int32[::1], uint16[::1], uint16[::1], uint8[::1])),
+    types.Tuple(
+        (
+            int64[::1],
+            int64[::1],
+            int64[::1],
+            int64[::1],
+            float64[:, :, ::1],
+            float64[::1],
+            uint64[::1],
+            int64[::1],
+            float64[:, ::1],
+        )
+    ),
+)
+"""Numba's types of `scratch`, `columns` and `windows`."""
+
+
+@entry_point(
+    S.STATE,
+    *BATCH,
+    int64,
+    float64[:, ::1],
+    float32[:, :, :, ::1],
+    calls=(absorb, empty_volume, cells_to_float32),
+)
 def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
     """Write the volume of each window into `out`.
 
@@ -72,7 +102,14 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
         cells_to_float32(buffer, out[i])
 
 
-@compiled
+@entry_point(
+    S.STATE,
+    *BATCH,
+    float64[:, ::1],
+    float32[:, :, :, ::1],
+    float64[:, ::1],
+    calls=(absorb, empty_volume, cells_to_float32),
+)
 def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, out):
     """Write dL/dl of each window into `out`, from dL/dV: the chain rule through the volume.
 

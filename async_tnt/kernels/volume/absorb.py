@@ -16,7 +16,9 @@ parameters: to unpack a tuple of arrays takes Numba longer than to take the arra
 """
 
 import numpy as np
+from numba import int64
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.lock import LARGE, release_gil, take_gil
 from async_tnt.kernels.volume import state as S
@@ -28,7 +30,7 @@ from async_tnt.kernels.volume.landmark import (
     displace_raw,
     displace_running,
 )
-from async_tnt.kernels.volume.records import MAX_TIME_US
+from async_tnt.kernels.volume.records import COLUMNS, MAX_TIME_US
 from async_tnt.kernels.volume.splat import add_event, combine_time, grid_of, place_event
 
 # What `absorb_one` returns. Up to LATE, the event has been counted.
@@ -41,7 +43,7 @@ AT_LIMIT = 2
 REFUSED = 3
 
 
-@compiled
+@entry_point(S.STATE, *COLUMNS, int64, int64)
 def absorb(buffer, t, x, y, p, first, last):
     """Add the events `first <= i < last` to the open window, up to the first at or after LIMIT_US.
 
@@ -90,7 +92,7 @@ def absorb(buffer, t, x, y, p, first, last):
     return first
 
 
-@compiled
+@entry_point(S.STATE, int64, int64, int64, int64)
 def absorb_one(buffer, t, x, y, p):
     """Check one event, and add it to the open window.
 
@@ -113,7 +115,7 @@ def absorb_one(buffer, t, x, y, p):
     return ABSORBED if _absorb_event(buffer, ints, t, x, y, p) else LATE
 
 
-@compiled
+@entry_point(S.STATE, *COLUMNS, int64, int64, *COLUMNS, int64)
 def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_most):
     """Count, sum and store events, for a volume that can be computed only when it is read.
 

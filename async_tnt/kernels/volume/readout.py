@@ -1,12 +1,17 @@
 """Empty a volume's cells for a new window, and round them to the array that users read."""
 
 import numpy as np
+from numba import float32, int64
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.volume import state as S
 
+ARRAY = float32[:, :, ::1]
+"""Numba's type of a volume's array."""
 
-@compiled
+
+@entry_point(S.STATE, ARRAY, int64, int64, int64)
 def empty_volume(buffer, array, start_us, limit_us, epoch):
     """Open a window without events, in which all cells are zero. The counts are kept.
 
@@ -59,7 +64,7 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints[S.CLOSED_TAU_ZERO] = ints[S.TAU_ZERO]
 
 
-@compiled
+@entry_point(S.STATE, ARRAY)
 def cells_to_float32(buffer, array):
     """Bring the array up to date:  array[b, y, x] = cells[b, y, x].
 

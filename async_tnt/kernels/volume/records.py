@@ -6,9 +6,10 @@ columns and the two sides of the sensor are arguments of their own, as in `absor
 """
 
 import numpy as np
-from numba import types
+from numba import boolean, int64, types, uint8, uint16
 from numba.extending import intrinsic
 
+from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.lock import LARGE, release_gil, take_gil
 
@@ -48,14 +49,10 @@ MAX_TIME_US = 1 << 62
 """Times are below this many microseconds, so that start + window never overflows."""
 BAD = -1
 """What is returned instead of a time if a number breaks its rule."""
-RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)
-"""Bytes. Arrays that can be written pass for read-only ones."""
-COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
-"""Columns t, x, y, p."""
-CHECK_TYPES = (*COLUMN_TYPES, types.int64, types.int64)
-"""The arguments of `check_columns`."""
-LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES)
-"""The arguments of `load_records`."""
+RAW = types.Array(types.uint8, 1, "C", readonly=True)
+"""Numba's type of bytes. Arrays that can be written pass for read-only ones."""
+COLUMNS = (int64[::1], uint16[::1], uint16[::1], uint8[::1])
+"""Numba's types of the columns t, x, y, p."""
 
 
 @intrinsic
@@ -112,7 +109,7 @@ def _load_kind(raw, offset, kind):
     return np.int64(load(raw, offset, np.int32))
 
 
-@compiled
+@entry_point(RAW, int64[::1], int64, int64, int64, *COLUMNS)
 def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     """Copy n records into columns and check them.
 
@@ -258,7 +255,7 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     return fits
 
 
-@compiled
+@entry_point(*COLUMNS, int64, int64)
 def check_columns(t, x, y, p, sensor_w, sensor_h):
     """Check columns such as `load_records` makes.
 
@@ -279,7 +276,7 @@ def check_columns(t, x, y, p, sensor_w, sensor_h):
     return first_us if _in_range(t, x, y, p, t.size, sensor_w, sensor_h) else BAD
 
 
-@compiled
+@entry_point(int64[::1], int64, boolean[::1])
 def find_late(t, newest_us, late):
     """Mark each event that is older than the newest one before it.
 

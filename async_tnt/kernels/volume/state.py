@@ -25,6 +25,11 @@ corners it has seen, and the EPOCH of the window it counted in. An EPOCH is uniq
 process.
 """
 
+from numba import float64
+
+STATE = float64[::1]
+"""Numba's type of the buffer."""
+
 # buffer: parameters of the volume
 # the length of the window; with `window_events`, the time from its start to its newest event
 WINDOW_US = 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.kernels.network.program import MIX
-from async_tnt.kernels.simd import LANES
+from async_tnt.kernels.target import LANES
 from async_tnt.networks.layers.steps import Step
 
 

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt.base.checks import ParameterValueError, plain_array
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.changes import MAX_ROW
 from async_tnt.kernels.network.forward import forward
 from async_tnt.kernels.network.sync_input import set_input
-from async_tnt.kernels.simd import LANES
+from async_tnt.kernels.target import LANES
 from async_tnt.networks.layers import graph
 from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.layers.lowering import steps_of
@@ -56,8 +57,6 @@ class Program:
     output_changes: list[int]
     lanes: int = LANES
 
-    KERNELS = (set_input, forward)
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if self.lanes != LANES:
@@ -73,6 +72,10 @@ class Program:
         memo[id(self.arrays.weights)] = self.arrays.weights
         return replace(self, arrays=copy.deepcopy(self.arrays, memo))
 
+    def prepare(self) -> None:
+        """Compile the kernels of `run`, so that no call of it waits for that."""
+        prepare(set_input, forward)
+
     def run(self, volume: np.ndarray) -> np.ndarray:
         """Compute the whole network.
 
@@ -84,8 +87,8 @@ class Program:
         -------
         The output's numbers: a view that begins with the first, and may go on behind the last.
         """
-        set_input(volume, self.arrays.program, self.arrays.maps)
-        forward(*self.arrays)
+        set_input.call(volume, self.arrays.program, self.arrays.maps)
+        forward.call(*self.arrays)
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
 
 

@@ -15,6 +15,7 @@ from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.decisions.classify import absorb_and_decide, classify_cells
 from async_tnt.kernels.decisions.objects import locate_cells, score_map
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.network.heatmap import centroid
 from async_tnt.kernels.network.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
@@ -72,14 +73,6 @@ class CompiledClassifier:
     ...     assert (network.refresh(volume) == CompiledClassifier(model)(volume.array)).all()
     """
 
-    KERNELS = (classify_cells,)
-    ARRAY_KERNELS = Program.KERNELS
-    """Called for the volume of an array."""
-    MAP_KERNELS = (locate_cells,)
-    """Called by map models, in place of `KERNELS`."""
-    STRETCH_KERNELS = (absorb_and_decide,)
-    """Called by `decide_stretch`."""
-
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
@@ -96,12 +89,22 @@ class CompiledClassifier:
             self.reader = ObjectReader(
                 self.logits_shape, self._program.output_layout, self._program.output_changes
             )
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Compile the kernel that decides, so that no event waits for that."""
+        prepare(classify_cells if self.places is None else locate_cells)
+
+    def prepare_stretches(self) -> None:
+        """Compile the kernel of `decide_stretch`."""
+        prepare(absorb_and_decide)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         vars(self).pop("map", None)  # a view of what was copied
         # In another process, another window may have the number that was copied.
         self.network.program[EPOCH] = 0
+        self._prepare()
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
@@ -109,7 +112,7 @@ class CompiledClassifier:
         logits = self._program.run(self._input(volume))
         if self.reader is None:
             return logits[: self.n_classes].copy()
-        score_map(self.network.maps, *self.reader.arrays[:3])
+        score_map.call(self.network.maps, *self.reader.arrays[:3])
         return self.map.copy()
 
     def refresh(self, volume: TNTVolume) -> np.ndarray:
@@ -162,7 +165,7 @@ class CompiledClassifier:
         probabilities = np.empty(self.n_classes)
         self._running.begin()
         try:
-            index = classify_cells(volume.state(), *self.network, logits, probabilities)
+            index = classify_cells.call(volume.state(), *self.network, logits, probabilities)
             return index, logits, probabilities
         finally:
             self._running.now = False
@@ -178,7 +181,7 @@ class CompiledClassifier:
         tracks, time_us, keep : see `kernels.decisions.objects.locate_on_map`.
         """
         assert self.reader is not None
-        n: int = locate_cells(
+        n: int = locate_cells.call(
             volume.state(), *self.network, *self.reader.arrays, tracks, time_us, keep
         )
         return n
@@ -202,7 +205,7 @@ class CompiledClassifier:
         answers : its arrays for logits, probabilities and notes.
         """
         found: tuple[int, int, int]
-        found = absorb_and_decide(
+        found = absorb_and_decide.call(
             buffer, *columns[:4], first, last, trigger, *self.network, *answers
         )
         return found
@@ -233,8 +236,6 @@ class CompiledRegressor:
     RuntimeError : (when called) another call is running.
     """
 
-    KERNELS = (*Program.KERNELS, centroid)
-
     def __init__(self, model: Model) -> None:
         config = model.config
         if not config.needs_regressor:
@@ -246,6 +247,16 @@ class CompiledRegressor:
         self._running = Running("CompiledRegressor")
         self._program = _program_of(model, REGRESSOR)
         self._input = VolumeInput(self.shape)
+        self._prepare()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._prepare()  # perhaps in another process
+
+    def _prepare(self) -> None:
+        """Compile the kernels, so that no window waits for that."""
+        self._program.prepare()
+        prepare(centroid)
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
@@ -255,5 +266,5 @@ class CompiledRegressor:
         """
         exponent = self._program.run(self._input(volume))
         _, height, width = self.shape
-        x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
+        x, y = centroid.call(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
         return x, y

@@ -103,8 +103,6 @@ class ObjectReader:
     found, probabilities : the objects found last, see `kernels.decisions.objects`.
     """
 
-    KERNELS = (K.locate_on_map,)
-
     def __init__(
         self,
         shape: Shape,
@@ -126,7 +124,7 @@ class ObjectReader:
 
     def read(self, logits: np.ndarray, tracks: np.ndarray, time_us: int, keep: bool) -> int:
         """How many objects a map has, float32 of this shape; -1 if a logit is not finite."""
-        n: int = K.locate_on_map(
+        n: int = K.locate_on_map.call(
             np.ascontiguousarray(logits).reshape(-1), *self.arrays, tracks, time_us, keep
         )
         return n

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
-from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.sources.clock import (
-    ARGUMENTS,
     INITIAL,
     JUMPED,
     LATE,
@@ -77,7 +76,7 @@ class Clock:
         if max_jump_s is not None and not 0 < max_jump_s < 1e9:
             rule = "must be a positive number of seconds, or None"
             raise ParameterValueError("max_jump_s", rule, max_jump_s)
-        compile_only(repair_times, *ARGUMENTS)
+        prepare(repair_times)
         self.max_jump_us = NO_LIMIT if max_jump_s is None else round(max_jump_s * 1e6)
         self.state = np.array(INITIAL, np.int64)
 
@@ -95,7 +94,7 @@ class Clock:
         time_at = events.dtype.fields[field][1]
         records = events.view(np.uint8)
         size = events.itemsize
-        kept = repair_times(
+        kept = repair_times.checked(
             records, 0, len(events), size, time_at, arrival_us, self.max_jump_us, self.state
         )
         return events if kept == len(events) else events[:kept]

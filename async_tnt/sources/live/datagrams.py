@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
-from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.sources.clock import NO_LIMIT
-from async_tnt.kernels.sources.datagrams import ARGUMENTS, SPIF, SPIF_T32, T32, T64, decode_events
+from async_tnt.kernels.sources.datagrams import SPIF, SPIF_T32, T32, T64, decode_events
 from async_tnt.sources.live.clock import Clock
 from async_tnt.volume.config import MAX_SIDE
 from async_tnt.volume.events import ANY_SENSOR, EVENT_DTYPE, as_events
@@ -125,7 +125,7 @@ class Decoder:
     ) -> None:
         self.format = checked_format(format)
         self.clock = Clock(max_jump_s)
-        compile_only(decode_events, *ARGUMENTS)
+        prepare(decode_events)
         self.event_bytes = EVENT_BYTES[format]
         self.sensor = None if sensor is None else checked_sensor(sensor)
         self.malformed = 0
@@ -160,7 +160,7 @@ class Decoder:
         """
         n = ends[-1] if ends else 0
         events = np.empty(n, EVENT_DTYPE)
-        n_good, n_off_sensor = decode_events(
+        n_good, n_off_sensor = decode_events.checked(
             raw,
             self._kind,
             np.array(ends, np.int64),

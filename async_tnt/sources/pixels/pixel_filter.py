@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import int64, uint8
 
 from async_tnt.base.checks import ParameterValueError, is_whole
 from async_tnt.base.messages import short
 from async_tnt.base.running import Running, one_at_a_time
-from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.sources.pixels import MASKED, OUTSIDE, keep_events
-from async_tnt.kernels.volume.records import COLUMN_TYPES
 from async_tnt.sources.pixels.pixel_masks import checked_mask, load_mask
 from async_tnt.volume.events import EVENT_DTYPE, EventDecoder
 from async_tnt.volume.sensor import checked_sensor, format_size
@@ -74,7 +72,7 @@ class PixelFilter:
         *,
         crop: bool = False,
     ) -> None:
-        compile_only(keep_events, *COLUMN_TYPES, int64, uint8[:, ::1], int64, int64, uint8[::1])
+        prepare(keep_events)
         width, height = checked_sensor(sensor)
         check_crop(crop, roi)
         whole = (0, 0, width, height)
@@ -110,7 +108,7 @@ class PixelFilter:
         """
         t, x, y, p, n = self._decoder.decode(events)
         records = np.empty(n * EVENT_DTYPE.itemsize, np.uint8)
-        kept, masked = keep_events(t, x, y, p, n, self._verdicts, *self._corner, records)
+        kept, masked = keep_events.call(t, x, y, p, n, self._verdicts, *self._corner, records)
         self._received += n
         self._kept += kept
         self._masked += masked
