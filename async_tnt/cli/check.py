@@ -25,7 +25,7 @@ from async_tnt.volume.sensor import check_sensor
 REMOVED = {"--start-us": "windows begin with the first event; --between-us chooses a part"}
 
 SIZES = ", ".join(str(size) for size in PACKET_SIZES[:-1])
-"""Sizes of packets, as words."""
+"""The packet sizes, as text for the help, without the last one: all events at once."""
 
 DESCRIPTION = f"""\
 Compare the stream with the batch reference in torch, on recordings. For every landmark:
@@ -102,9 +102,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
-    """Print a line for each comparison, with the worst of all recordings.
+    """Print a line for each comparison, with its worst difference over all recordings.
 
-    Then, on stderr, a line for each comparison that fails on a recording.
+    Also print a line on stderr for each comparison that fails on a recording.
     """
     merged: dict[tuple[str, str], Comparison] = {}
     for comparisons in results.values():

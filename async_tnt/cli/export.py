@@ -54,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
             f"{args.model} has a landmark network, which has no ONNX form; its classifier alone "
             "runs by onnxruntime: Processor(model, classifier=OnnxClassifier(to_onnx(model)))"
         )
-    # before any work, in case it is missing
+    # imported before any work, in case onnxruntime is missing
     version = import_onnxruntime().__version__
 
     content = to_onnx(model).SerializeToString()
@@ -63,7 +63,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         with replacing(args.out) as part:
             part.write_bytes(content)
-            # the file is read back: what is checked is what is kept
+            # the check reads the file that was just written, so that it checks what is kept
             compare(OnnxClassifier(part), compiled, compiled.shape)
     except ValueError as error:
         difference = one_line(error)

@@ -43,7 +43,7 @@ REMOVED = {
     "--light": "in Python, give scenes={'light': 'positive'} to async_tnt.training.dataset_data",
     "--restart": "remove the folder of the run, runs/NAME beside the model",
 }
-"""Option of the version before -> what to do instead."""
+"""Option of the previous version -> what to do instead."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -166,12 +166,13 @@ def _add_network(group: argparse._ActionsContainer) -> None:
 
 
 def _range(text: str) -> tuple[float, float]:
-    """An argparse type: `0.4-0.8` as two numbers, and `0.5` as twice the same."""
+    """Read `0.4-0.8` as two numbers, and `0.5` as that number twice. An argparse type."""
     low, _, high = text.partition("-")
     try:
         least = float(low)
         most = float(high or low)
     except ValueError:
+        # nan does not pass the check below
         least = math.nan
         most = math.nan
     if not 0 < least <= most <= 1:
@@ -182,5 +183,5 @@ def _range(text: str) -> tuple[float, float]:
 
 
 def _share(text: str) -> float:
-    """An argparse type: a number in [0, 1)."""
+    """Read a number in [0, 1). An argparse type."""
     return number(text, lambda value: 0 <= value < 1, "a share in [0, 1)")
