@@ -20,8 +20,8 @@ def main(argv: list[str] | None = None) -> int:
 
     Parameters
     ----------
-    argv : the arguments. None: the arguments of this process. Then the process belongs to the
-        program: before and after a command, a signal ends the process at once, and a closed or full
+    argv : the arguments. If None, they are those of the command line, and the program controls the
+        process: before and after a command, a signal ends the process at once, and a closed or full
         stderr does no harm.
     """
     owns_process = argv is None

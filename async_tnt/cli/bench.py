@@ -55,6 +55,7 @@ N_EVENTS = 2000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--model",
         metavar="NAME|FILE",
@@ -65,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt bench`. Returns the exit code."""
     model = model_of(args.model)
     recordings, origin = _recordings_for(model.config.sensor)
     report: dict[str, Any] = {}
@@ -109,6 +111,7 @@ def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
 
 
 def _packets(events: np.ndarray) -> list[np.ndarray]:
+    """Cut events into packets of `PACKET` events."""
     return [events[first : first + PACKET].copy() for first in range(0, events.size, PACKET)]
 
 

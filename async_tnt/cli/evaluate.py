@@ -80,6 +80,7 @@ usage, or if no recording could be read.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument("model", metavar="MODEL", help=MODELS)
     parser.add_argument(
         "dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>"
@@ -112,8 +113,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt evaluate`. Returns the exit code."""
     run = _how_to_run(args)
-    # Checked here: while a recording is read, the error would become an entry of the results.
+    # Checked before any recording is read: later, the error would count as a recording's own fault.
     if args.columns is not None:
         check_order("columns", args.columns)
     model = model_of(args.model)

@@ -36,6 +36,7 @@ does not agree and nothing is written, 2 for bad usage or bad input.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument("model", metavar="MODEL", help=MODELS)
     parser.add_argument(
         "--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists"
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt export`. Returns the exit code."""
     from async_tnt.networks.onnx.export import to_onnx
     from async_tnt.networks.onnx.network import OnnxClassifier, import_onnxruntime
 

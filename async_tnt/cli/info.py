@@ -46,6 +46,7 @@ N_HOT = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "what",
         nargs="+",
@@ -64,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt info`. Returns the exit code."""
     failed = False
     for name in args.what:
         try:

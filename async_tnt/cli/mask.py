@@ -44,6 +44,7 @@ MOST_LISTED = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "files",
         nargs="+",
@@ -72,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt mask`. Returns the exit code."""
     check_writable(args.out, (".npy",))
     if args.out.exists() and any(path.exists() and path.samefile(args.out) for path in args.files):
         raise ValueError(f"--out is one of the recordings, {args.out}")
@@ -99,9 +101,8 @@ def _count(
 
     Raises
     ------
-    ValueError, OSError : neither the option nor an earlier recording states the sensor of a
-        recording that does not state it; two recordings have different sensors; or a recording
-        cannot be read.
+    ValueError, OSError : a recording does not state its sensor, and neither do --sensor and the
+        recordings before it; two recordings have different sensors; or a recording cannot be read.
     """
     counts = np.zeros((), np.int64)  # the first sum below has shape (H, W)
     given = sensor

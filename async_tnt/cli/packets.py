@@ -41,7 +41,7 @@ def check_keep_up(args: argparse.Namespace) -> None:
 def find_sources(
     paths: Sequence[Path | str], pixels: ModelPixels, written: Mapping[str, str] | None = None
 ) -> None:
-    """Check that one of these sources can be opened at least.
+    """Check that at least one of these sources can be opened.
 
     The sources are tried in order until one can be opened. It is closed again.
 
@@ -83,7 +83,7 @@ def follow(
 ) -> bool:
     """Let `take` read a camera or a network stream, and print the source's counts at the end.
 
-    The end comes when the source ends, or by Ctrl-C. Returns whether it came by Ctrl-C.
+    Reading ends when the source ends, or at Ctrl-C. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def follow(
 
 
 def _kept_up(queue: KeepUp) -> str:
-    """What a queue did so that decisions keep up with the events, as text after other counts."""
+    """Text for the counts: what a queue did so that decisions keep up with the events."""
     found = queue.counters
     waited_ms = found.longest_wait_us / 1e3
     text = f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"

@@ -14,8 +14,8 @@ OPTION_LIKENESS = 0.7
 """The least likeness, from 0 to 1, of a mistyped option and the option that is suggested. See
 `difflib`."""
 COMMAND_LIKENESS = 0.6
-"""The least likeness of a mistyped command and the command that is suggested. It is higher for
-options, because all options begin with two dashes."""
+"""The least likeness of a mistyped command and the command that is suggested. The limit for options
+is higher, because all options begin with two dashes."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -25,7 +25,7 @@ class Parser(argparse.ArgumentParser):
     ----------
     commands : name of a command -> the parser of its options.
     mistyped : a word of the command line, and what it was probably meant to be; None if no word is
-        mistyped. An error message also suggests the correction.
+        mistyped. The message of `error` suggests the correction.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:

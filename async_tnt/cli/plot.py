@@ -54,6 +54,7 @@ trained on.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "file",
         nargs="?",
@@ -91,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt plot`. Returns the exit code."""
     path = sample_or_path(user_path(args.file))
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
@@ -162,7 +164,7 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     changes = volume_of(args.volume)
     if args.window_us is not None:
         changes["window_us"] = args.window_us
-    # only the landmark `line` allows to remove the flow
+    # the flow can be removed only with the landmark `line`
     if changes.get("landmark", "line") != "line":
         changes.setdefault("remove_flow", False)
     kind = changes.get("representation", config.representation)

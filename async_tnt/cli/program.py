@@ -111,11 +111,11 @@ def _run(argv: Sequence[str]) -> int:
         code = 2
     except KeyboardInterrupt as error:
         interrupted = str(error)
-        # The first signal in this list decides the exit code. SIGINT becomes the first one only if
-        # no signal was noted, so that this KeyboardInterrupt has another origin.
+        # The first signal in this list decides the exit code. This SIGINT decides only if the list
+        # was empty: then `signals.interrupt` did not raise the KeyboardInterrupt.
         signals.received.append(signal.SIGINT)
     except Exception:
-        # After a signal, this error is a KeyboardInterrupt that C code has turned into another one.
+        # If a signal came, C code has turned our KeyboardInterrupt into this error.
         if not signals.received:
             raise
     finally:
@@ -174,8 +174,8 @@ def _code_after_signal(number: int, code: int, interrupted: str) -> int:
 def _flushed(code: int) -> int:
     """Flush stdout. Returns the exit code: `code`, or 2 if stdout cannot be written.
 
-    A closed pipe is no error. Without this flush, Python would flush when it ends. If that failed,
-    the exit code would be 120.
+    A closed pipe is no error. Python would also flush stdout when it ends, but if that failed, the
+    exit code would be 120.
     """
     try:
         sys.stdout.flush()

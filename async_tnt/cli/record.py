@@ -116,7 +116,7 @@ def main(args: argparse.Namespace) -> int:
         return _record(source, args.label, folder, args.seconds)
     finally:
         source.close()
-        # the folder goes if it is empty: `train` would refuse a class without recordings
+        # remove the folder if it is empty: `train` would refuse a class without recordings
         with contextlib.suppress(OSError):
             folder.rmdir()
 
@@ -175,7 +175,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
         except OSError as error:  # the recording goes on
             problems.append(error)
 
-    as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compiles now, before the time counts
+    as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compile before the time begins
     with _ended_in_time(source, seconds):
         complain(f"recording {label} from {source.name} into {folder}; Ctrl-C stops")
         try:

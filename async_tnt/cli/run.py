@@ -91,7 +91,7 @@ class _Run:
     Attributes
     ----------
     engine : the model, and what computes it.
-    processor : decides. It is reset before each source.
+    processor : the Processor, which is reset before each source.
     pixels : the pixels whose events count.
     lines : how decisions are printed.
     """
@@ -141,7 +141,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _prepared(args: argparse.Namespace) -> _Run:
-    """Load the model, make the Processor, and check that one source can be opened at least.
+    """Load the model, make the Processor, and check that at least one source can be opened.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def _with_end(
 def _run_live(run: _Run, name: str, keep_up_ms: int | None) -> bool:
     """Print the decisions of a camera or a network stream, and the counts at the end.
 
-    The end comes when the source ends, or by Ctrl-C. Returns whether it came by Ctrl-C.
+    Reading ends when the source ends, or at Ctrl-C. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ ENDING = [
 REPEATED_S = 1.0
 """Seconds within which a second signal counts as the same request to end."""
 UNSAFE_MODULES = ("importlib._bootstrap", "llvmlite.", "numba.")
-"""How the names of modules begin whose C code cannot handle a KeyboardInterrupt."""
+"""Beginnings of module names. The C code of these modules cannot handle a KeyboardInterrupt."""
 
 
 class Signals:

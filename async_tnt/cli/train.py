@@ -333,7 +333,7 @@ def _note_motions(record: dict[str, Any]) -> None:
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
     """A function that prints a line about an epoch, but at most one line a second.
 
-    A training may have hundreds of short epochs. The first and the last epoch always have one.
+    A training may have hundreds of short epochs. The first and the last epoch always have a line.
     """
     printed_s: float | None = None
 

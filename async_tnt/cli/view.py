@@ -59,6 +59,7 @@ stops that. Needs rerun-sdk (extra `view`); a camera needs the extra `cameras`.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     add_files(parser, live=True, one=True)
     add_start(parser)
     add_triggers(parser)
@@ -90,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt view`. Returns the exit code."""
     check_keep_up(args)
     check_reading(args)
     path = paths_of(args)[0]
