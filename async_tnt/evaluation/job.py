@@ -43,7 +43,7 @@ class Job:
 
     @property
     def id(self) -> str:
-        """12 hexadecimal digits that differ if anything differs that the records depend on."""
+        """A checksum of everything that the records depend on: 12 hexadecimal digits."""
         reading = {name: value for name, value in asdict(self.reading).items() if value is not None}
         about = {
             "version": self.version,

@@ -165,8 +165,9 @@ def score_recording(
     for rows, events in zip(rows_of, _windows(recording, times_us, window_us), strict=True):
         processor.reset()
         n_events += len(events)
-        parts = np.split(events, np.searchsorted(events["t"], np.multiply(SHARES, window_us)))
-        for share, part in zip(SHARES, parts[:-1], strict=True):
+        stops = np.searchsorted(events["t"], np.multiply(SHARES, window_us))
+        parts = np.split(events, stops)[:-1]  # the last part is empty
+        for share, part in zip(SHARES, parts, strict=True):
             processor.push(part)
             scores[share] += score_objects(
                 _found_by(processor),

@@ -23,7 +23,7 @@ CONNECT_S = 10.0
 WORKERS_S = 15.0
 """Seconds within which the scheduler's first worker must appear."""
 IN_FLIGHT = 1000
-"""Number of tasks that the cluster has at a time, with those whose results wait there."""
+"""Number of tasks that the cluster has at a time. Tasks whose results wait there count, too."""
 
 
 def run_all(

@@ -183,7 +183,7 @@ def lost(task: Task) -> Record:
 
 
 def _record(task: Task, fields: Record, error: str | None) -> Record:
-    """A record with all of `FIELDS`. The value is None for those that are not given."""
+    """A record with all of `FIELDS`. Fields that are not given are None."""
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.job.id}
     record = dict.fromkeys(FIELDS) | {"recording": task.recording, "class": task.label}
     return record | fields | {"error": error} | about_file

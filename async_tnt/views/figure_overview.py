@@ -66,7 +66,7 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
 
     t = subject.events["t"]
     duration_us = int(t.max() - t.min())
-    # a multiple of half a millisecond
+    # with this step, `MOST_DECISIONS` span the recording; rounded down to half milliseconds
     distinct_us = duration_us // MOST_DECISIONS // 500 * 500
     every_us = max(EVERY_US, distinct_us)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)

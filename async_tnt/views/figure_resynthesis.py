@@ -45,8 +45,8 @@ class ResynthesizedWindow:
     recorded : the recorded events of the window, with fields x, y, p.
     image : (H, W), log luminance halfway through the window.
     same_motion : simulated events of the image, under the motion that was found in the window.
-    motions : paths: a path is the displacement since the window's start, (n, 2). The first is the
-        path of the motion that was found. Then comes the path of each new motion.
+    motions : the path of the motion that was found, then the path of each new motion. A path is the
+        displacement since the window's start, (n, 2).
     others : simulated events of the image, under each new motion.
     """
 
@@ -109,6 +109,7 @@ def draw_resynthesis(
         pictures = [window.image]
         for events in (window.same_motion, *window.others):
             pictures.append(_counts(events, (height, width)))
+        # the path that was found is drawn twice: in the image, and in its simulated events
         paths = [window.motions[0], *window.motions]
         for column, (picture, path) in enumerate(zip(pictures, paths, strict=True), 1):
             axes = _draw_picture(figure, column, top, picture, is_image=column == 1)

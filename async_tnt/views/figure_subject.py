@@ -52,7 +52,10 @@ class Subject:
         return int(self.events["t"][0]) if self.start_us is None else self.start_us
 
     def since_start_ms(self, t_us: Any) -> Any:
-        """The milliseconds from the first window's start, as a camera's clock has any origin."""
+        """Convert times to milliseconds since the first window's start.
+
+        The times themselves say little, because a camera's clock may start at any value.
+        """
         return (t_us - self.first_us) / 1e3
 
     def window(self, number: int) -> Window:
@@ -179,5 +182,5 @@ def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
 
 
 def shown_evenly(n: int, most: int) -> np.ndarray:
-    """All indices from 0 to n - 1, or `most` of them, evenly spread, if there are more."""
+    """At most `most` of the indices from 0 to n - 1, evenly spread."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.int64)

@@ -156,6 +156,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._due_us = self._after(int(newest[0]))
 
         decisions: list[Decision] = []
+        # cut the packet where pictures are due
         first = 0
         while first < len(packet):
             if newest[first] >= self._due_us:
