@@ -215,7 +215,7 @@ def _check_volumes(
 def _check_network(
     events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None
 ) -> list[Comparison]:
-    """Check logits against the reference, and their bits: promises (c) and (d).
+    """Check promise (c), that logits equal the reference's, and promise (d), about their bits.
 
     The stream decides after each event. The decisions at the ends of prefixes are compared.
     """
@@ -229,8 +229,8 @@ def _check_network(
     # The same network is used for all windows: it must keep nothing of the previous window.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
-    # If each read builds the volume again from all events of the window, there is no decision after
-    # each event: they would take too long.
+    # If each read builds the volume anew from all events of the window, a decision after each event
+    # would take too long. Then there are decisions only at the ends of prefixes.
     every_events = None if config.needs_replay else 1
     for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
         first_us: int | None = start

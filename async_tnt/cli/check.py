@@ -127,6 +127,7 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
 def _as_json(
     results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool
 ) -> dict[str, object]:
+    """All comparisons, as --json prints them."""
     return {
         "equal": equal,
         "prefixes": "all" if prefixes is None else prefixes,

@@ -141,6 +141,7 @@ class DecisionLines:
             say(self._text(name, decision, latency_us))
 
     def _text(self, name: str, decision: Decision, latency_us: float) -> str:
+        """A decision as a line for people."""
         start_ms = decision.window_start_us / 1e3
         length_ms = (decision.time_us - decision.window_start_us) / 1e3
         window = f"{start_ms:.3f}+{length_ms:.3f}"
@@ -158,6 +159,7 @@ class DecisionLines:
     def _json(
         self, name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None
     ) -> str:
+        """A decision as a line of JSON."""
         about = {"recording": name, **decision.to_dict()}
         if self.with_latency:
             about["latency_us"] = round(latency_us, 3)

@@ -48,6 +48,7 @@ class Parser(argparse.ArgumentParser):
         }
 
     def error(self, message: str) -> NoReturn:
+        """Print a mistake in one line, and end the program with exit code 2."""
         if self.mistyped is not None:
             word, meant = self.mistyped
             if word in message:

@@ -77,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_held_out(group: argparse._ActionsContainer) -> None:
+    """Add the options that say what is held out."""
     group.add_argument(
         "--validation",
         type=_share,
@@ -94,6 +95,7 @@ def _add_held_out(group: argparse._ActionsContainer) -> None:
 
 
 def _add_seen(group: argparse._ActionsContainer) -> None:
+    """Add the options that say what is learned from."""
     add_selection(group)
     group.add_argument(
         "--mirror", action="store_true", help="mirror half of the windows, if that keeps the class"
@@ -108,6 +110,7 @@ def _add_seen(group: argparse._ActionsContainer) -> None:
 
 
 def _add_pictures(group: argparse._ActionsContainer) -> None:
+    """Add the options that say how pictures are recorded."""
     group.add_argument(
         "--size",
         type=_range,
@@ -125,6 +128,7 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
 
 
 def _add_network(group: argparse._ActionsContainer) -> None:
+    """Add the options that choose the volume and the network."""
     group.add_argument(
         "--window-us",
         type=positive_int,

@@ -19,7 +19,7 @@ N_MOMENTS = 10
 PER_MOMENT = 5
 """Number of decisions from one of these moments to the next."""
 LEVELS = 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99
-"""Levels of confidence: a table says when a decision first has one of these probabilities."""
+"""Levels of confidence. A table says when a decision first reaches each of these probabilities."""
 FIELDS = ("decided_at", "probability_at", "confident", "confident_us")
 """The keys of what `early_fields` returns. In a record, each is a list with one entry a window."""
 
@@ -132,17 +132,18 @@ def early_report(
 
     Returns
     -------
-    accuracy_against_time : for each of `moments`, the share of windows that are right, and the
-        share of windows that are decided.
-    confidence : for each of `LEVELS`, the share of windows that reach the level, and the share of
-        these that are right. Then the median and the 90th percentile of the time to reach the
-        level, in milliseconds since the window's start. Then the share of all windows that are
-        right, if the windows that do not reach the level are decided at their ends.
-    calibration : the decisions of all moments, in groups of similar probability. For each group:
-        the number of decisions, their mean probability, and the share of them that is right.
-    calibration_error : the mean difference between a group's probability and its share, weighted by
-        the number of decisions. It is 0 if 0.9 of the decisions with probability 0.9 are right, and
-        likewise for all other probabilities.
+    accuracy_against_time : a row for each of `moments`. `accuracy` is the share of windows that are
+        right then, `decided` the share of windows that have a decision then.
+    confidence : a row for each of `LEVELS`. `decided` is the share of windows that reach the level,
+        `accuracy` the share of these that are right. `median_ms` and `p90_ms` are the median and
+        the 90th percentile of the time from the window's start to the level. `window_accuracy` is
+        the share of all windows that are right, if the windows that do not reach the level are
+        decided at their ends.
+    calibration : the decisions of all moments, in groups of similar probability. A row for each
+        group: the number of decisions, their mean probability, and the share that is right.
+    calibration_error : the mean difference between the probability and the share that is right,
+        weighted by the number of decisions. It is 0 if 0.9 of the decisions with probability 0.9
+        are right, and likewise for all other probabilities.
     """
     after_us = moments(config)
     if not after_us:

@@ -31,7 +31,7 @@ class Job:
     version : version of this package.
     pixels : the pixels whose events the model sees. It holds the mask itself, so that workers do
         not need the mask's file.
-    reading : how files are read that do not say it themselves. Its sensor is not used; `pixels` has
+    reading : facts about files that do not state them. Its sensor is not used, because `pixels` has
         the sensor.
     """
 

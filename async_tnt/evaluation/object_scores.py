@@ -1,7 +1,7 @@
 """How well a map model finds objects.
 
-Two shares say it. Recall: of the objects that are there, the share that the model finds. Precision:
-of the objects that the model finds, the share that is there.
+Two shares say it. Recall: of the objects that are really there, the share that the model finds.
+Precision: of the objects that the model finds, the share that is really there.
 """
 
 from __future__ import annotations

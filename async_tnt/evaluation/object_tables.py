@@ -4,7 +4,7 @@ NAME_objects.csv  A row for each object at a moment. The columns are t, in micro
                   x, y, the object's middle. Or x, y, w, h: a box with the upper left corner (x, y).
 NAME_bbox.npy     Prophesee's boxes, with the fields t (or ts), x, y, w, h, class_id. The file may
                   also belong to a recording NAME_td.*. The file `label_map_dictionary.json` beside
-                  it names the classes. Without that file, class_id counts the model's classes.
+                  it names the classes. Without that file, class_id k is the model's class k.
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
 def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
     """Number of a class, as text -> name of the class.
 
-    The names are read from the file `path`. Without this file, the model's classes are counted.
+    The names are read from the file `path`. Without this file, number k is the model's class k.
     """
     if not path.is_file():
         return {str(k): name for k, name in enumerate(classes)}

@@ -205,11 +205,13 @@ class ResultFile:
             self._add(_record_of(line, self._job, self._out))
 
     def _add(self, record: Record) -> None:
+        """Note a record that is in the file now."""
         self._names.append(record["recording"])
         self.records[record["recording"]] = record
 
 
 def _line(record: Record) -> bytes:
+    """A record as a line of the file."""
     return json.dumps(record).encode() + b"\n"
 
 

@@ -27,7 +27,7 @@ def scores_of(
     Returns
     -------
     accuracy, window_accuracy : shares of recordings, and of windows, decided right.
-    per_class : class name -> share of its recordings decided right; None if it has no recordings.
+    per_class : class name -> share of its recordings decided right; None without recordings.
     balanced_accuracy : mean of `per_class`. It is low for a model that always answers the most
         frequent class.
     recordings, windows : the number of recordings, and of windows.

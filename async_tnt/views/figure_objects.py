@@ -38,7 +38,7 @@ def draw_window_objects(window: Window, model: Model) -> Figure:
     in_order = window.events[np.argsort(window.events["t"], kind="stable")]
     ends_us = [window.start_us + round(share * model.config.window_us) for share in SHARES]
     stops = np.searchsorted(in_order["t"], ends_us)
-    parts = np.split(in_order, stops)[:-1]  # the last one is after the window
+    parts = np.split(in_order, stops)[:-1]  # the last part lies after the window
     for part in parts:
         processor.push(part)
         decisions.append(processor.fire())

@@ -33,13 +33,13 @@ EVENTS_HEIGHT = 4.0
 CLASSES_HEIGHT = 1.9
 """Height of the plot of class probabilities, in inches."""
 EVERY_US = 2_500
-"""Microseconds between decisions, at least. In a long recording they are more."""
+"""Microseconds between decisions, at least. A long recording has fewer decisions in a second."""
 MOST_DECISIONS = 2_000
 """Number of decisions that the plot can show side by side."""
 MOST_SLICES = 12
 """Number of bins of a volume that are drawn, at most. They are evenly spread."""
 MOST_NAMED = 20
-"""Number of windows up to which each window's decision is written in the plot."""
+"""If a recording has more windows, the windows' decisions are not written in the plot."""
 
 
 def draw_overview(subject: Subject, number: int = 1) -> Figure:

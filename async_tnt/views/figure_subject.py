@@ -116,9 +116,9 @@ class Window:
     def coordinates(self) -> Coordinates:
         """The coordinates (u, v) to which the transform moves each event.
 
-        u = (x - l) / tau + c, where x is the event's column on the grid, l is the landmark that the
-        volume had for the event, tau is the scaled time since the window's start, from 0 to t_max,
-        and c is the middle of the grid. v is computed likewise.
+        u = (x - l) / tau + c, and v likewise. Here x is the event's column on the grid, and l is
+        the landmark that the volume had for the event. tau is the time since the window's start,
+        scaled so that the window's end is at t_max. c is the middle of the grid.
         """
         config = self.subject.config
         pixels = np.stack([self.events["x"], self.events["y"]], axis=1)  # (N, 2)

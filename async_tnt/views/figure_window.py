@@ -165,7 +165,7 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
     """Draw the rows of pictures of a window, and a colour bar for each row.
 
-    They take the figure's width, and begin `top` inches below its upper edge.
+    The rows take the figure's width, and begin `top` inches below its upper edge.
 
     Parameters
     ----------

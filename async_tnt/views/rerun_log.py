@@ -219,9 +219,9 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
 def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.ndarray:
     """A picture of all bins of a volume, row by row from the top left.
 
-    A cell's colour shows its sign: the colour of ON is positive, the colour of OFF negative. The
-    brightness is the square root of the cell's magnitude, relative to the largest magnitude in the
-    volume. So single events stay visible next to many.
+    A positive cell has the colour of ON events, a negative cell that of OFF events. The brightness
+    is the square root of the cell's magnitude, relative to the largest magnitude in the volume. So
+    single events stay visible next to many.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ LIVE_S = 1 / 60
 CHECK_S = 1.0
 """Seconds between flushes, which report a full disk and bound what waits for a slow viewer."""
 LAST_US = (1 << 63) // 1000
-"""Events must be before this time: Rerun counts nanoseconds in 64 bits."""
+"""Events must be before this time, in microseconds: Rerun counts nanoseconds in 64 bits."""
 
 
 def import_rerun() -> Any:
@@ -149,7 +149,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         if self.processor.late == "raise" and (newest > packet["t"]).any():
             # the processor refuses the whole packet with an error
             return self.processor.push(packet)
-        # the first window, and with it the pictures, begin at `start_us` or with the first event
+        # pictures begin with the first window: at `start_us`, or else with the first event
         if self._origin_us is None:
             start_us = self.processor.start_us
             self._origin_us = int(newest[0]) if start_us is None else start_us
@@ -253,6 +253,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._stream.flush(timeout_sec=PATIENCE_S)
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Close the view, also after an error."""
         # After an error the state may be inconsistent, so a second error is ignored. The file keeps
         # what was logged before.
         if kind is not None:
