@@ -9,14 +9,14 @@ import numpy as np
 from async_tnt.base.messages import one_line
 
 TOLERANCE = 1e-4
-"""The largest difference that is accepted, as a share of the largest number."""
+"""The largest difference that is accepted, as a share of a volume's largest number."""
 
 Function = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> numbers."""
 
 
 def expect_form(condition: bool, what: str) -> None:
-    """Refuse what a network of another program does, and this package cannot do, by its name."""
+    """Raise a NotImplementedError that `what` has no compiled form, unless `condition` holds."""
     if not condition:
         raise NotImplementedError(f"{what} has no compiled form")
 
