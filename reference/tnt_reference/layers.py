@@ -21,13 +21,13 @@ Weights = Mapping[str, torch.Tensor]
 
 
 class LayerNetwork(nn.Module):
-    """Volumes (N, C, H, W) to the value of the last layer, (N, ...).
+    """A module that computes the last layer's value, (N, ...), from volumes (N, C, H, W).
 
     Parameters
     ----------
-    layers : see above.
-    tensors : name -> weights, parameters of this module. Means and variances of batch_norm are not
-        trained.
+    layers : the layers in the form that the module's docstring describes.
+    tensors : name -> weights. They become parameters of this module. The means and variances of
+        batch_norm are not trained.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def _sum_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
 
 
 def _inside_average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
-    """The sum over each window, by how many of its places lie inside."""
+    """The sum over each window, divided by the number of its places inside the input."""
     return _sum_pool(layer, weights, x) / _sum_pool(layer, weights, torch.ones_like(x))
 
 
@@ -179,7 +179,9 @@ def _flatten(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
 
 
 def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
-    """The mean place of a heatmap exp(e): `exponent` e, (N, 1, H, W), to (N, 2), float64 (x, y).
+    """The mean place (x, y) of each heatmap exp(e), float64, shape (N, 2).
+
+    The exponents e have the shape (N, 1, H, W).
 
     l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])
     """
@@ -197,7 +199,7 @@ def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
 
 
 Operation = Callable[..., torch.Tensor]
-"""Layer, its weights, its inputs; returns its value."""
+"""Layer, its weights, its inputs; returns the layer's value."""
 
 OPERATIONS: dict[str, Operation] = {
     "conv": _conv,
@@ -228,4 +230,4 @@ OPERATIONS: dict[str, Operation] = {
     "flatten": _flatten,
     "heatmap_centroid": _function(heatmap_centroid),
 }
-"""Op -> what it computes."""
+"""Op -> the function that computes it."""

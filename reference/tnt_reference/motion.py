@@ -29,7 +29,7 @@ def move_by_flow(
     x, y : (N,) pixels, whole or not.
     flow : v = (v_x, v_y) in pixels per window; a tensor that requires a gradient gets one, as do t,
         x and y.
-    start_us, window_us : the time at which f is 0, and how much later it is 1.
+    start_us, window_us : f is 0 at the time `start_us`, and 1 at `start_us + window_us`.
 
     Returns
     -------

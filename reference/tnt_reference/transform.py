@@ -13,7 +13,7 @@ from .coordinates import image_centre, tnt_time, to_grid, window_fraction
 from .window import Column, check_size, window_events
 
 BORDER_TOLERANCE = 1e-9
-"""Pixels beyond the border that count as on it."""
+"""How many pixels beyond the border an event may lie and still count as on the border."""
 
 
 class TNTCoordinates(NamedTuple):
