@@ -169,7 +169,7 @@ def _whole_numbers(field: str, column: np.ndarray) -> np.ndarray:
     # from this number on, floats may have been rounded
     exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)
     fits = (np.rint(column) == column) & (np.abs(column) < exact)
-    if not fits.all():  # nan fits neither
+    if not fits.all():  # nan never fits
         i = int(np.argmin(fits))
         raise ValueError(
             f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got "
@@ -189,10 +189,10 @@ def check_order(name: str, order: Any) -> None:
 
 
 def likely_order(table: np.ndarray, order: str) -> str:
-    """The likely order of a table's columns.
+    """The likely order of a table's columns: `order`, or another order with better signs.
 
-    The answer is `order`, unless neither of two signs speaks for `order` and both speak for another
-    order. `_signs` says what the signs are.
+    Two signs can speak for an order, see `_signs`. Another order is returned only if no sign speaks
+    for `order` and both signs speak for the other one.
 
     Parameters
     ----------
@@ -311,7 +311,8 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
             f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds"
         )
 
-    # microseconds = count * factor / divisor, for dates in months and years at most
+    # microseconds = count * factor / divisor. Months and years are taken as long as they can be:
+    # for them, this only decides whether the microseconds fit into int64.
     unit_as = CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit]
     step_as = multiple * unit_as
     common = math.gcd(step_as, UNITS_AS["us"])
