@@ -1,9 +1,9 @@
 """Processor: from packets of events to decisions, window by window.
 
 A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> a kernel
-A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`)
+A decision:  time passes (`_advance`), or an event makes it due (`_absorb_until_decision`)
              -> WindowClassifier.decide
-Both:        with our own network, in one compiled call (`_absorb_stretch`)
+Both:        with a CompiledClassifier, in one compiled call (`_absorb_stretch`)
              -> WindowClassifier.decide_stretch
 """
 

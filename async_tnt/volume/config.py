@@ -90,7 +90,7 @@ class TNTConfig:
         `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel),
-        `count_time` (events per pixel, and the time of the newest one as a fraction of the window),
+        `count_time` (events per pixel, and the newest event's time as a fraction of the window),
         `mean_time` (the mean time), or `time_surface` (exp(-age / tau) of the newest event at the
         window's end, where tau is half a window). With `split` polarity the channels of ON come
         first, then the channels of OFF. Images of times (all but `count`) take no transform, and no

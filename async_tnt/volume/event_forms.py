@@ -285,8 +285,8 @@ def _as_column(field: str, values: Any) -> np.ndarray:
         ) from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
-    # NumPy makes floats of Python integers if one is beyond int64. As objects they keep their
-    # values: the decoder names the one that does not fit.
+    # NumPy makes floats of Python integers if one of them is beyond int64. As objects they keep
+    # their values: the decoder names the number that does not fit.
     may_be_integers = column.dtype.kind == "f" and isinstance(values, (list, tuple))
     if may_be_integers and all(type(value) is int for value in values):
         return np.array(values, object)

@@ -217,8 +217,8 @@ class EventDecoder:
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
-        # All four are compared here: Numba's dispatch should refuse the other byte order, but once
-        # it took an empty column of it.
+        # All four types are compared here: Numba's dispatch should refuse a column of the other
+        # byte order, but once it took such a column, which was empty.
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
         width, height = self.sensor
@@ -257,9 +257,10 @@ class EventDecoder:
             return columns
         kept = ~late
         n = columns.n
-        return Columns(
-            t[kept], columns.x[:n][kept], columns.y[:n][kept], columns.p[:n][kept], n - n_late
-        )
+        x = columns.x[:n][kept]
+        y = columns.y[:n][kept]
+        p = columns.p[:n][kept]
+        return Columns(t[kept], x, y, p, n - n_late)
 
 
 def _compile() -> None:

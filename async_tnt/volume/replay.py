@@ -67,7 +67,7 @@ class ReplayBuffer:
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Store the events `first <= i < last` up to the volume's limit.
 
-        Returns the first one not stored.
+        Returns the index of the first event that is not stored.
         """
         n_before = _n_events(buffer)
         if n_before + last - first > self._columns.t.size:

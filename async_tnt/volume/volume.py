@@ -91,7 +91,7 @@ class TNTVolume:
         # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
-        # From now on this volume differs from the one that it was copied from.
+        # From now on this volume and its original differ: they need different numbers.
         self._ints[S.EPOCH] = next_epoch()
 
     def __copy__(self) -> TNTVolume:

@@ -58,14 +58,14 @@ def count_timestamp_image(
     sensor: tuple[int, int],
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """The counts of ON and OFF events and the times of the newest ones, as EV-FlowNet has them.
+    """The four channels of EV-FlowNet: counts of ON and OFF events, times of their newest events.
 
         I[c, y, x]     = #{i : x_i = x, y_i = y, p_i = 1 - c}          c = 0: ON, c = 1: OFF
         I[2 + c, y, x] = max {f_i : x_i = x, y_i = y, p_i = 1 - c}
         f_i            = (t_i - start_us) / window_us
 
-    over the events with 0 <= f_i < 1. Here, as an exception, the window is half-open, like that of
-    a stream. The time of a pixel without events is 0.
+    over the events with 0 <= f_i < 1. Here, as an exception, the window is half-open, like the
+    windows of a stream. The time of a pixel without events is 0.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 A layer is a mapping with `op`, `name`, `inputs` (names of earlier layers, or "volume") and the
 parameters of its op; `weights` maps roles to names of tensors. The last layer's value is the
-network's. The ops are those of the table `OPERATIONS` at the end.
+network's value. The table `OPERATIONS` at the end lists the ops.
 """
 
 from __future__ import annotations
@@ -65,13 +65,17 @@ class LayerNetwork(nn.Module):
 
 def _conv(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     top, left, bottom, right = layer["padding"]
-    is_symmetric = (top, left) == (bottom, right)  # torch pads these by itself, without a copy
+    if (top, left) == (bottom, right):
+        padding = (top, left)  # torch adds a symmetric padding by itself, without a copy
+    else:
+        x = _padded(layer, x)
+        padding = (0, 0)
     return F.conv2d(
-        x if is_symmetric else _padded(layer, x),
+        x,
         weights["weight"],
         weights.get("bias"),
         stride=layer["stride"],
-        padding=(top, left) if is_symmetric else 0,
+        padding=padding,
         dilation=layer["dilation"],
         groups=layer["groups"],
     )
@@ -131,7 +135,9 @@ def _function(of: Callable[[torch.Tensor], torch.Tensor]) -> Operation:
 
 def _padded(layer: Layer, x: torch.Tensor, value: float = 0.0) -> torch.Tensor:
     top, left, bottom, right = layer["padding"]
-    return F.pad(x, (left, right, top, bottom), value=value) if any(layer["padding"]) else x
+    if not any(layer["padding"]):
+        return x
+    return F.pad(x, (left, right, top, bottom), value=value)
 
 
 def _max_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:

@@ -31,7 +31,7 @@ def compare(
     shape : shape of a volume, (C, H, W).
     tolerance : how much numbers may differ, as a share of the largest number for the same volume. A
         volume's largest number counts as at least 0.01, and as at least 1 % of the largest number
-        for any volume: smaller ones make no difference to a softmax.
+        for any volume: smaller logits make no difference to a softmax.
 
     Raises
     ------

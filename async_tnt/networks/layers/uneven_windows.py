@@ -11,6 +11,7 @@ for all other taps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -45,8 +46,11 @@ def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
 
     Place k is the mean of the inputs from floor(k n_inputs / n) to ceil((k + 1) n_inputs / n).
     """
-    # -(-a // n) is a / n, rounded up
-    spans = [(k * n_inputs // n, -(-(k + 1) * n_inputs // n)) for k in range(n)]
+    spans = []
+    for k in range(n):
+        first = k * n_inputs // n
+        end = math.ceil((k + 1) * n_inputs / n)
+        spans.append((first, end))
     stride = max(1, n_inputs // n)
     # With more places than inputs, a span begins before the input k stride.
     before = max(k * stride - first for k, (first, _) in enumerate(spans))

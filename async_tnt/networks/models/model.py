@@ -246,7 +246,7 @@ class Model:
 
         Raises
         ------
-        OSError : the file cannot be written, or its path is not that of a regular file.
+        OSError : the file cannot be written, or there is something else than a regular file.
         TypeError : the record holds something that JSON cannot represent.
         """
         path = user_path(path)

@@ -84,8 +84,10 @@ def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
         return None
     if n == max(shape, default=1):  # all other sides are 1
         return (n,)
-    is_map = len(shape) in (3, 4) and shape[-3] > 1 and shape[:-3] in ((), (1,))
-    return shape[-3:] if is_map else None
+    is_one_map = len(shape) == 3 or (len(shape) == 4 and shape[0] == 1)
+    if is_one_map and shape[-3] > 1:
+        return shape[-3:]
+    return None
 
 
 class ObjectReader:
@@ -152,7 +154,9 @@ def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:
     shape : (K + 1, R, C) of the maps.
     memory_us : how long an object that is not found is remembered.
     """
-    tracks = np.zeros((K.KNOWN + 2 * min(K.MOST_TRACKED, most_objects(*shape[1:])), 4))
+    _, rows, columns = shape
+    n_tracked = min(K.MOST_TRACKED, most_objects(rows, columns))
+    tracks = np.zeros((K.KNOWN + 2 * n_tracked, 4))
     tracks[0, K.MEMORY_US] = memory_us
     tracks[1, [K.X0, K.DX_PX, K.Y0, K.DY_PX]] = places
     tracks[2, [K.REACH_X, K.REACH_Y]] = REACH * places.dx, REACH * places.dy

@@ -35,7 +35,7 @@ class Exported:
 
 
 def metadata_of(model: Model) -> dict[str, str]:
-    """The metadata of an exported model: that of a model file, and a blank checksum.
+    """The metadata of an exported model: the entries of a model file, with a blank checksum.
 
     `network` holds the classifier's layers only. They are needed to read the file again: ONNX nodes
     do not say which layer they belong to.

@@ -153,7 +153,7 @@ def write_sum_pool(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) 
 def write_adaptive_average_pool(
     made: OnnxNodes, layer: Layer, inputs: list[str], name: str
 ) -> None:
-    """A X B', where A holds the share of each input row in each output row, B those of columns."""
+    """A X B': A holds the share of each input row in each output row, B the same for columns."""
     rows, columns = layer["size"]
     _, input_rows, input_columns = made.input_shape(layer)
     a = made.constant(f"{name}.a", adaptive_matrix(rows, input_rows))

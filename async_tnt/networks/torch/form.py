@@ -55,13 +55,16 @@ class TorchForm:
         """
         if self.arguments_of is not None:
             return self.arguments_of(node)
+        # a module has its parameters as attributes; a function takes them behind its inputs
         names = [*self.inputs]
         if module is None:
             names += [*self.parameters, "out"]
         given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
-        unknown = [*node.args[len(names) :], *(name for name in given if name not in names)]
+        unknown = [*node.args[len(names) :]]
+        unknown += [name for name in given if name not in names]
         if unknown:
             raise NotImplementedError(f"the argument {unknown[0]!r} has no compiled form")
+        # without a module, `getattr` gives the default
         defaults = {name: getattr(module, name, value) for name, value in self.parameters.items()}
         return {**defaults, **given}
 

@@ -286,8 +286,7 @@ class _Conversion:
     def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
         """Whether an operation behind `after` reads the node's value.
 
-        An operation that reads the node's size only does not count, nor one whose own result is not
-        used.
+        An operation counts if its own result is used, and if it reads more than the node's size.
         """
         for user in node.users:
             is_later = self._position[user] > self._position[after]
