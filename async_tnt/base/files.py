@@ -185,7 +185,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add this file's name to an OSError of the block that names no file, such as a full disk."""
+    """Put this path into an OSError of the block that names no file, such as "no space left"."""
     try:
         yield
     except OSError as error:

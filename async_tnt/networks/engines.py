@@ -77,7 +77,7 @@ def choose_engine(
 
 
 def is_onnx(name_or_path: str | Path) -> bool:
-    """Whether the suffix is .onnx, in upper or lower case."""
+    """Whether a name or path ends in .onnx, in upper or lower case."""
     return Path(name_or_path).suffix.lower() == ".onnx"
 
 

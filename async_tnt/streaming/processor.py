@@ -352,9 +352,10 @@ class Processor(TriggerAttributes):
     def _absorb_until_decision(
         self, columns: Columns, first: int, decisions: list[Decision]
     ) -> int:
-        """Add events until one of them makes a decision due, or further if compiled code decides.
+        """Add events until one of them makes a decision due, and make this decision.
 
-        Returns the first event not added.
+        Compiled code goes on after a decision that does not close the window. Returns the first
+        event not added.
         """
         if self._in_stretches:
             return self._absorb_stretch(columns, first, decisions)
@@ -424,7 +425,7 @@ class Processor(TriggerAttributes):
         self._open_windows(t_us)
 
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
-        """Decide about the oldest window, which is complete, unless it is empty; and close it."""
+        """Decide about the oldest window, unless it is empty, and close it. It is complete."""
         oldest = self._windows.oldest
         # The decision is made before the window is closed: if the classifier raises an error, the
         # window stays open.

@@ -182,7 +182,7 @@ class TriggerAttributes:
 
     @property
     def confidence(self) -> float | None:
-        """Close a window at a decision whose class has this probability; None: never.
+        """Close a window at a decision whose likeliest class has this probability; None: never.
 
         May change between calls.
         """

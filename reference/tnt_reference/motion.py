@@ -19,7 +19,7 @@ def move_by_flow(
     start_us: int,
     window_us: int,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Move events by a constant flow:
+    """The pixels x and y of events that a constant flow has moved.
 
     L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
 

@@ -307,7 +307,7 @@ def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
 
 
 def check_volume_shape(volume: torch.Tensor, channels: int, grid: tuple[int, int]) -> None:
-    """Refuse a volume of other channels or sides."""
+    """Refuse a volume with another number of channels, or with other sides."""
     expected = (channels, grid[1], grid[0])
     if volume.ndim not in (3, 4) or tuple(volume.shape[-3:]) != expected:
         raise ValueError(

@@ -28,7 +28,7 @@ class WindowEvents(NamedTuple):
 def window_events(
     t: Column, x: Column, y: Column, *, start_us: int, window_us: int, sensor: tuple[int, int]
 ) -> WindowEvents:
-    """Check the columns and subtract the window's start.
+    """The events of a window: the columns are checked, and the window's start is subtracted.
 
     Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds
     after 16.8 s. The window is closed at its right end, so that the thesis' own form, with
@@ -193,7 +193,7 @@ def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int
 
 
 def check_polarity(polarity: str) -> None:
-    """Raise a ValueError if there is no such polarity."""
+    """Raise a ValueError if `polarity` is not one of `POLARITIES`."""
     if polarity not in POLARITIES:
         raise ValueError(f"`polarity` must be one of {', '.join(POLARITIES)}, got {polarity!r}")
 

@@ -67,7 +67,7 @@ def _numbers_of_both(
 
 
 def _largest_finite(numbers: np.ndarray) -> float:
-    """The largest size of a finite number; 0 if there is none."""
+    """The largest absolute value of the finite numbers; 0 if no number is finite."""
     finite = numbers[np.isfinite(numbers)]
     return float(np.abs(finite).max(initial=0.0))
 

@@ -63,7 +63,7 @@ Network = Mapping[str, Sequence[Layer]]
 def layer_shapes(
     layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape], *, partial: bool = False
 ) -> dict[str, Shape]:
-    """The shape of what each layer computes, by the layer's name, and the shape of the volume.
+    """Name of a layer -> the shape of its output; also VOLUME -> the shape of the volume.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class _CheckedLayers:
     def _count_cost(
         self, layer: Layer, operation: Operation, inputs: list[Shape], weights: dict[str, Shape]
     ) -> None:
-        """Add what the layer costs; a ValueError above one of the two limits."""
+        """Add the layer's cost; a ValueError if the sum is above MAX_NUMBERS or MAX_PRODUCTS."""
         output = self.shapes[layer["name"]]
         n_numbers, n_products = _cost(layer, operation, inputs, output, weights)
         self._n_numbers += n_numbers
@@ -179,7 +179,10 @@ class _CheckedLayers:
             )
 
     def _is_flat_map(self, layer: Layer, operation: Operation, inputs: list[Shape]) -> bool:
-        """Whether the layer computes a flattened map; a ValueError if it cannot read one."""
+        """Whether the layer's output is a flattened map.
+
+        A ValueError if the layer has a flattened map as input, but cannot read it.
+        """
         if layer["op"] == "flatten" and len(inputs[0]) == 3:
             channels = inputs[0][:1]
             return self.shapes[layer["name"]] != channels
@@ -196,7 +199,7 @@ def _more_than(name: str, limit: int) -> str:
 
 
 def _check_fields(layer: Layer, operation: Operation) -> None:
-    """Refuse a layer whose fields are not those of its operation, or have a wrong value."""
+    """Refuse a layer with other fields than its operation has, or with a wrong value."""
     expected = {"op", "name", "inputs", *operation.parameters}
     if operation.roles:
         expected.add("weights")

@@ -91,7 +91,7 @@ def expect_weights(role: str, shape: Shape, expected: Shape) -> None:
 def sides_through_window(
     layer: Layer, source: Shape, dilation: Sequence[int] = (1, 1)
 ) -> tuple[int, int]:
-    """Rows and columns of the output of a convolution or pooling, whose input has this shape."""
+    """Rows and columns of the output of a convolution or pooling, for an input of this shape."""
     expect_map(source)
     top, left, bottom, right = layer["padding"]
     padded = (source[1] + top + bottom, source[2] + left + right)

@@ -23,7 +23,9 @@ class Axis(NamedTuple):
 
 
 def axis_through_window(layer: Layer, k: int, axis: Axis) -> Axis:
-    """The axis of a layer's output: moved by its window, or as it is where the layer has none.
+    """The axis of a layer's output: the input's axis, moved by the layer's window.
+
+    A layer without a window does not change the axis.
 
     Parameters
     ----------

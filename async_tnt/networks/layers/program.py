@@ -28,7 +28,7 @@ from async_tnt.networks.layers.steps import Map, Step
 
 
 class ProgramArrays(NamedTuple):
-    """The arrays in the order in which the kernels take them."""
+    """The arrays of a program, in the order in which the kernels take them."""
 
     program: np.ndarray
     weights: np.ndarray
@@ -287,7 +287,7 @@ class _ProgramWriter:
         record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
 
     def _write_places(self, record: np.ndarray, step: Step) -> None:
-        """Write how many places the step computes, and that none has changed."""
+        """Write how many places the step computes, and that no place has changed."""
         record[P.ROWS] = step.rows
         record[P.COLUMNS] = step.columns
         self._write_changes(record, P.CHANGED, step.rows, step.columns)
@@ -340,7 +340,7 @@ def _words(columns: int) -> int:
 
 
 def _words_seen(step: Step) -> int:
-    """How many words of a row of its input a step may read for one row, and two words more."""
+    """How many words of an input's row a step may read for one row of its output, plus two."""
     kernel_words = _words((step.kernel[1] - 1) * step.dilation[1])
     return _words(step.columns) * step.stride[1] + kernel_words + 2
 

@@ -182,7 +182,7 @@ class StepList:
         return output
 
     def copy(self, source: Map, output: Map, channel: int = 0) -> Map:
-        """Add a step that copies a map into the channels of another one; returns the other one."""
+        """Add a step that copies `source` into `output`, from `channel` on; returns `output`."""
         ones = np.ones((1, source.channels))
         return self.add(SUM, [source], output, ones, np.zeros(source.channels), channel=channel)
 

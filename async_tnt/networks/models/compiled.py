@@ -29,7 +29,7 @@ _packed: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = WeakKeyDic
 
 
 def _program_of(model: Model, network: str) -> Program:
-    """A program of one of a model's networks, with feature maps of its own."""
+    """A new program of a model's classifier or regressor, with feature maps of its own."""
     of_model = _packed.setdefault(model, {})
     packed = of_model.setdefault(network, {})
     return make_program(model.network[network], model.config.shape, model.weights, packed)
@@ -151,7 +151,9 @@ class CompiledClassifier:
         return view
 
     def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
-        """`refresh` for a volume whose shape is known to fit.
+        """The class, logits and probabilities of a volume's open window.
+
+        This is `refresh` for a volume whose shape is known to fit.
 
         Returns
         -------

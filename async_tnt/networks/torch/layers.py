@@ -134,6 +134,6 @@ class LayerList:
 
 
 def float_array(tensor: torch.Tensor) -> np.ndarray:
-    """The values as float32; a NotImplementedError for a tensor that is not of floating point."""
+    """The values of a floating-point tensor, as float32; other tensors are refused."""
     expect_form(tensor.is_floating_point(), f"a weight of type {tensor.dtype}, not floating point,")
     return np.asarray(tensor.detach().cpu().float())

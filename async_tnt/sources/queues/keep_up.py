@@ -132,7 +132,7 @@ class KeepUp(BackgroundReader):
         return packet
 
     def _adapt(self) -> None:
-        """Set how often the processor decides, after the wait of the packet that is handed out."""
+        """Set how often the processor decides, by how long the handed-out packet has waited."""
         waited = self.delay_us / self.max_delay_us
         now_ns = time.monotonic_ns()
         pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
@@ -144,7 +144,7 @@ class KeepUp(BackgroundReader):
             self._set(self.slower // 2, now_ns)
 
     def _set(self, slower: int, now_ns: int) -> None:
-        """Make decisions rarer by the factor `slower`, but no rarer than one a window."""
+        """Make decisions rarer by the factor `slower`, but no rarer than one for each window."""
         self.slower = slower
         self._changed_ns = now_ns
         self.slowest = max(self.slowest, slower)
