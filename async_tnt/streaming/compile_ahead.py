@@ -39,13 +39,14 @@ CHILD_S = 120.0
 EVERY_STREAM = {*EventDecoder.KERNELS, *TNTVolume.KERNELS, *Triggers.KERNELS}
 """Kernels that every stream calls."""
 OTHER_CLASSIFIERS = {*TNTVolume.ARRAY_KERNELS, *WindowClassifier.KERNELS}
-"""Kernels that a stream also calls if its classifier is not our own compiled one."""
+"""Kernels that a stream also calls if its classifier is not a CompiledClassifier."""
 NETWORKS = {
     *CompiledClassifier.KERNELS,
     *CompiledClassifier.MAP_KERNELS,
     *CompiledRegressor.KERNELS,
 }
-"""Kernels of networks. They have nothing in common with the kernels of events."""
+"""Kernels of networks. They and the kernels of events call no kernel in common: two processes can
+compile them at the same time."""
 
 
 def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
@@ -106,7 +107,9 @@ def compile_for(
     triggers: TriggerSettings,
     finds_late: bool,
 ) -> None:
-    """Compile, in this process and without a word, what a Processor with these settings calls.
+    """Compile the kernels that a Processor with these settings calls.
+
+    They are compiled in this process, and nothing is printed.
 
     Parameters
     ----------
@@ -196,12 +199,12 @@ def _compile_with_a_second_process(kernels: set[Kernel]) -> None:
     of_network = kernels & NETWORKS
     if not of_network:
         return
-    of_network.add(forward)  # the others call it
+    of_network.add(forward)  # the other kernels of networks call it
     child = _start_child([kernel.__name__ for kernel in _in_order(of_network)])
     if child is None:
         return
     try:
-        # the child finds these in the cache when it needs them
+        # the child finds these kernels in the cache when it needs them
         finds_objects = not of_network.isdisjoint(CompiledClassifier.MAP_KERNELS)
         parts = NETWORK_PARTS + MAP_PARTS if finds_objects else NETWORK_PARTS
         for kernel in parts:

@@ -82,7 +82,7 @@ TYPES: dict[Kernel, Types] = {
 after them."""
 
 NETWORK_PARTS: tuple[Kernel, ...] = (mix, sync_input)
-"""Kernels that `classify_cells` and `locate_cells` call, and that take long to compile. Another
-process may compile them meanwhile."""
+"""Kernels that `classify_cells` and `locate_cells` call, and that take long to compile. While one
+process compiles them, another process can compile other kernels of networks."""
 MAP_PARTS: tuple[Kernel, ...] = (list_objects,)
-"""The same for `locate_cells` alone."""
+"""Kernels that only `locate_cells` calls, and that take long to compile."""

@@ -90,7 +90,7 @@ class Triggers:
 
     KERNELS = (T.schedule,)
     EVENT_KERNELS = (T.until_due, T.why_due)
-    """Called where a single event may make a decision due."""
+    """The kernels that run if a single event may make a decision due."""
 
     def __init__(self, settings: TriggerSettings) -> None:
         self.state = np.zeros(T.SIZE)
@@ -100,7 +100,7 @@ class Triggers:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._ints = self.state.view(np.int64)  # a view again, and not a copy
+        self._ints = self.state.view(np.int64)  # a view of the new state, not of the old one
 
     def set(self, settings: TriggerSettings) -> None:
         """Use these settings from now on."""
@@ -182,7 +182,7 @@ class TriggerAttributes:
 
     @property
     def confidence(self) -> float | None:
-        """Close a window at a decision whose class has this probability; None: never.
+        """Close a window at a decision whose likeliest class has this probability; None: never.
 
         May change between calls.
         """

@@ -29,8 +29,8 @@ from async_tnt.kernels.volume.records import (
 from async_tnt.volume.event_forms import NAMES, named_columns
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""How this package writes events: t in microseconds; x, y in pixels from the top left; p is 1 for
-ON, 0 for OFF."""
+"""The type in which this package writes events: t in microseconds; x, y in pixels from the top
+left; p is 1 for ON, 0 for OFF."""
 ANY_SENSOR = (1 << 16, 1 << 16)
 """A sensor with every pixel that uint16 can hold."""
 
@@ -96,7 +96,7 @@ class EventDecoder:
 
     KERNELS = (load_records, check_columns)
     LATE_KERNELS = (find_late,)
-    """Called where `late` is not `accept`."""
+    """The kernels that run if `late` is not `accept`."""
 
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
@@ -115,7 +115,7 @@ class EventDecoder:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        _compile()  # perhaps in another process
+        _compile()  # this may be another process, which has not compiled the kernels
 
     def reset(self) -> None:
         """Forget the newest time and the count of dropped events."""
@@ -183,7 +183,7 @@ class EventDecoder:
         None if the records need a closer look.
         """
         dtype = events.dtype
-        # fields can be renamed in place
+        # the names are compared, too: fields can be renamed in place
         if dtype is not self._dtype or dtype.names is not self._names:
             self._dtype = dtype
             self._names = dtype.names
@@ -217,8 +217,8 @@ class EventDecoder:
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
-        # All four are compared here: Numba's dispatch should refuse the other byte order, but once
-        # it took an empty column of it.
+        # All four types are compared here: Numba's dispatch should refuse a column of the other
+        # byte order, but once it took such a column, which was empty.
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
         width, height = self.sensor
@@ -257,9 +257,10 @@ class EventDecoder:
             return columns
         kept = ~late
         n = columns.n
-        return Columns(
-            t[kept], columns.x[:n][kept], columns.y[:n][kept], columns.p[:n][kept], n - n_late
-        )
+        x = columns.x[:n][kept]
+        y = columns.y[:n][kept]
+        p = columns.p[:n][kept]
+        return Columns(t[kept], x, y, p, n - n_late)
 
 
 def _compile() -> None:
@@ -279,7 +280,7 @@ def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Colum
 def checked_columns(
     t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = ""
 ) -> Columns:
-    """`Columns` of four columns of any integer type, once these are checked.
+    """Checked `Columns`, made from four columns of any integer type.
 
     Parameters
     ----------
