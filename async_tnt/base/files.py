@@ -70,7 +70,7 @@ def read_regular(path: str | os.PathLike[str]) -> bytes:
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
-    """The file that would be written, at the end of a symbolic link.
+    """The path of the file that would be written: `path` itself, or where a symbolic link leads.
 
     A file that `Replacement` could not replace is refused here, before any work.
 
@@ -185,7 +185,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add this file's name to an OSError of the block that names no file, such as a full disk."""
+    """Put this path into an OSError of the block that names no file, such as "no space left"."""
     try:
         yield
     except OSError as error:
@@ -217,6 +217,7 @@ def open_locked(path: Path, busy: str) -> IO[bytes]:
             import fcntl
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # another process may have replaced or deleted the file before it was locked here
         if not os.path.samestat(os.fstat(file.fileno()), path.stat()):
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
@@ -245,7 +246,7 @@ def locked_folder(folder: Path, name: str) -> Iterator[None]:
         try:
             yield
         finally:
-            with contextlib.suppress(OSError):  # a folder is not empty
+            with contextlib.suppress(OSError):  # a folder that is not empty stays
                 (folder / name).unlink()
                 for path in missing:
                     path.rmdir()

@@ -8,8 +8,8 @@ from typing import Any
 from async_tnt.base.messages import one_line, short
 
 MAX_JSON_DEPTH = 100
-"""Most lists and objects within each other. Python's own reader and writer of JSON raise a
-RecursionError at some thousand."""
+"""How deep lists and objects may be nested. Python's own reader and writer of JSON raise a
+RecursionError at some thousand levels."""
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -46,7 +46,7 @@ _TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
 
 
 class _JsonError(ValueError):
-    """The error of `_json_object`, with a message of ours."""
+    """The error of `_json_object`. Its message is complete, unlike those of Python's reader."""
 
 
 def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -67,7 +67,7 @@ class Bar(contextlib.AbstractContextManager["Bar"]):
             self._width = 0
 
     def _write(self, text: str) -> None:
-        assert self._file is not None  # for mypy: only what is drawn is cleared
+        assert self._file is not None  # for mypy: without a file nothing is drawn or cleared
         with contextlib.suppress(OSError, ValueError):  # the work goes on if the terminal is gone
             self._file.write(text)
             self._file.flush()

@@ -31,7 +31,8 @@ class WorkerEnded(ChildProcessError):
 class Worker:
     """A process that calls importable functions until `end`, or until this process ends in any way.
 
-    It has its own process group: Ctrl-C reaches this process alone, which then ends its workers.
+    A worker has its own process group: Ctrl-C reaches this process alone, which then ends its
+    workers.
 
     Attributes
     ----------

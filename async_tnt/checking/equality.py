@@ -9,9 +9,9 @@
 (d) A decision after every event has the same bits as the answer of the whole network, though only
     the changed values are computed.
 
-There are two exceptions. (b): an event may lie where the tolerance of the border ends, 1e-9 pixels
-beyond it; rounding decides then whether it is kept. (d): the caller may switch
-`torch.set_flush_denormal` between two decisions.
+There are two exceptions. (b): events are kept up to 1e-9 pixels beyond the border. If an event lies
+at just this distance, rounding decides whether it is kept. (d): the bits may differ if the caller
+switches `torch.set_flush_denormal` between two decisions.
 
 The comparison needs torch (extra `reference`), which is imported only when something is checked.
 """
@@ -35,12 +35,12 @@ from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
 PACKET_SIZES = (1, 2, 7, 100, 0)
-"""Numbers of events in a packet that are compared; 0: all events at once."""
+"""The packet sizes that are compared, in events. 0 stands for all events at once."""
 VOLUME_BOUND = 1e-6
 """Largest difference of two volumes, as a share of the largest cell."""
 CANCELLED = 1e-9
-"""Value of a cell, in events. If all cells are below it, opposite events have cancelled each other,
-and only their rounding is left."""
+"""A small value of a cell, in events. If all cells are below it, opposite events have cancelled
+each other, and only rounding errors are left."""
 LANDMARK_BOUND = 1e-9
 """Largest distance of two landmarks, in grid pixels."""
 REGRESSED_LANDMARK_BOUND = 1e-4
@@ -52,7 +52,16 @@ LOGIT_BOUND = 1e-4
 
 @dataclass
 class Comparison:
-    """One promise for one configuration: the worst of `n` comparisons, and its bound."""
+    """The comparisons for one promise and one configuration: the worst difference, and its bound.
+
+    Parameters
+    ----------
+    what : the compared values, in words.
+    config : name of the configuration.
+    bound : largest difference that is allowed.
+    n : number of comparisons so far.
+    worst : largest difference so far.
+    """
 
     what: str
     config: str
@@ -61,14 +70,16 @@ class Comparison:
     worst: float = 0.0
 
     def add(self, difference: float) -> None:
-        """Note one difference."""
+        """Add one comparison with this difference."""
         self.include(Comparison(self.what, self.config, self.bound, 1, float(difference)))
 
     def include(self, other: Comparison) -> None:
-        """Merge the comparisons of another recording."""
+        """Add the comparisons of another recording."""
         self.n += other.n
-        # a nan must stay, so that the comparison fails; a nan is not below any number
-        if not math.isnan(self.worst) and not other.worst <= self.worst:
+        # A nan must be taken over and then stay, so that the comparison fails. With a nan, `not <=`
+        # is true, and `>` would be false.
+        is_worse = not other.worst <= self.worst
+        if is_worse and not math.isnan(self.worst):
             self.worst = other.worst
 
     @property
@@ -78,11 +89,11 @@ class Comparison:
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
-    """The configurations that are compared, by name.
+    """Name of a configuration -> configuration, for all that are compared.
 
-    There is one for each landmark, one with the flow removed, and one without the transform.
-
-    The landmark `regressor` is there only if `base` has it. Images of times have no transform.
+    There is one for each landmark, one with the flow removed, and one without the transform. The
+    landmark `regressor` is there only if `base` has it. If `base` makes images of times, it is the
+    only one, because they have no transform.
     """
     if base.representation in TIME_IMAGES:
         return {"no transform": base}
@@ -107,7 +118,7 @@ def check_recording(
     Parameters
     ----------
     events : structured array of `EVENT_DTYPE`.
-    model : the model. Its networks are checked, and its configuration under every landmark.
+    model : the model whose networks are checked. Its configuration is checked with every landmark.
     prefixes : number of prefixes of each window that are compared with the reference. They are
         evenly spread, and the last prefix is one of them. None: all prefixes, which takes minutes
         for some thousand events.
@@ -134,9 +145,11 @@ def _check_packets(
     regressor: Regressor | None,
     closed: list[tuple[int, bytes]],
 ) -> Comparison:
-    """The comparison of the first half of promise (a): volumes do not depend on packets.
+    """Check the first half of promise (a): volumes do not depend on packets.
 
-    closed : the `_closed_windows` of the first packet size.
+    Parameters
+    ----------
+    closed : the `_closed_windows` for the first of `PACKET_SIZES`.
     """
     packets = Comparison("volumes that depend on packets", name, 0.0)
     for size in PACKET_SIZES[1:]:
@@ -156,10 +169,10 @@ def _check_volumes(
     start_us: int | None,
     closed: list[tuple[int, bytes]],
 ) -> list[Comparison]:
-    """The comparisons of the second half of promise (a), and of promise (b).
+    """Check windows, volumes and landmarks: the second half of promise (a), and promise (b).
 
-    They concern windows, volumes and landmarks.
-
+    Parameters
+    ----------
     closed : the `_closed_windows` of a stream.
     """
     from async_tnt.checking.reference import reference_landmark, reference_volume, reference_windows
@@ -202,9 +215,9 @@ def _check_volumes(
 def _check_network(
     events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None
 ) -> list[Comparison]:
-    """The comparisons of promises (c) and (d).
+    """Check promise (c), that logits equal the reference's, and promise (d), about their bits.
 
-    There is a decision after each event. Decisions are compared where prefixes end.
+    The stream decides after each event. The decisions at the ends of prefixes are compared.
     """
     from async_tnt.checking.reference import reference_pipeline, reference_windows
 
@@ -213,17 +226,18 @@ def _check_network(
     config = model.config
     pipeline = reference_pipeline(model)
     whole_network = CompiledClassifier(model)
-    # One network for all windows: it must keep nothing of the window before.
+    # The same network is used for all windows: it must keep nothing of the previous window.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
-    # If the landmark is found at each read, the time of a decision grows with the window: then
-    # there is no decision after each event.
+    # If each read builds the volume anew from all events of the window, a decision after each event
+    # would take too long. Then there are decisions only at the ends of prefixes.
     every_events = None if config.needs_replay else 1
     for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
         first_us: int | None = start
         still_open = config
         if config.window_events is not None:
-            # a full window would be closed, and could not be read
+            # A full window would be closed, and could not be read. So there is room for one event
+            # more.
             first_us = None
             still_open = config.replace(window_events=inside.size + 1)
         processor = Processor(
@@ -239,8 +253,10 @@ def _check_network(
             ours = decision.logits
             whole = whole_network(processor.volume())
             theirs = pipeline(inside[:n], start).reshape(ours.shape)
-            repeated.add(float(np.count_nonzero(ours.view(np.uint32) != whole.view(np.uint32))))
-            logits.add(float(np.abs(ours - theirs).max() / max(1.0, np.abs(theirs).max())))
+            has_other_bits = ours.view(np.uint32) != whole.view(np.uint32)
+            repeated.add(float(np.count_nonzero(has_other_bits)))
+            largest = max(1.0, np.abs(theirs).max())
+            logits.add(float(np.abs(ours - theirs).max() / largest))
     return [repeated, logits]
 
 
@@ -251,6 +267,7 @@ def _difference(volume: np.ndarray, reference: np.ndarray) -> float:
 
 
 def _distance(landmark: tuple[float, float], reference: tuple[float, float]) -> float:
+    """The larger of the differences in x and in y."""
     return float(np.abs(np.subtract(landmark, reference)).max())
 
 
@@ -261,13 +278,16 @@ def _closed_windows(
     start_us: int | None,
     regressor: Regressor | None = None,
 ) -> list[tuple[int, bytes]]:
-    """The start of each window with events in one stream, and the digest of the window's volume.
+    """For each window with events in one stream: its start, and the digest of its volume.
 
-    packet_size : events in a packet. 0: all events at once. 1: single events of Python's own
-        integers.
+    Parameters
+    ----------
+    packet_size : number of events in a packet. 0: all events at once. 1: single events, as tuples
+        of Python's own integers.
     """
     digests: list[bytes] = []
 
+    # a classifier that only notes the digest of each volume it gets
     def keep(volume: np.ndarray) -> list[float]:
         digests.append(_digest(volume))
         return [0.0]
@@ -293,7 +313,7 @@ def _digest(volume: np.ndarray) -> bytes:
 def _prefixes(
     windows: list[tuple[int, np.ndarray]], prefixes: int | None
 ) -> Iterator[tuple[int, np.ndarray, list[int]]]:
-    """The start of each window, its events, and the lengths of the prefixes to compare."""
+    """Yield each window's start, its events, and the lengths of the prefixes to compare."""
     for start_us, inside in windows:
         n = inside.size
         count = n if prefixes is None else min(prefixes, n)

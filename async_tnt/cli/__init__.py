@@ -1,11 +1,11 @@
-"""The entry of the program `async-tnt`, whose commands are in `program.py`.
+"""The entry point of the program `async-tnt`. The commands are in `program.py`.
 
-It imports fast, and handles signals from its first line.
+This module imports almost nothing, so that signals are handled as early as possible.
 """
 
 from __future__ import annotations
 
-import _signal  # not `signal`: Ctrl-C during that import would show a traceback
+import _signal  # the import of `signal` takes longer: Ctrl-C meanwhile would show a traceback
 import gc
 import io
 import os
@@ -20,32 +20,36 @@ def main(argv: list[str] | None = None) -> int:
 
     Parameters
     ----------
-    argv : the arguments. None: those of the command line, and the process belongs to the program.
-        Before and after a command, a signal then ends the process at once; stderr may be closed or
-        full.
+    argv : the arguments. If None, they are those of the command line, and the program controls the
+        process: before and after a command, a signal ends the process at once, and a closed or full
+        stderr does no harm.
     """
     owns_process = argv is None
     if owns_process:
         _at_signals(_end)
         _open_streams()
-    # until the command begins: imports make no garbage, and to look for it takes a tenth of a start
+    # No garbage collection until the command begins: imports leave no garbage, and the search for
+    # it takes a tenth of the start-up time.
     gc.disable()
     try:
-        # imports NumPy and Numba, whose C code may turn a KeyboardInterrupt into any other error
+        # Imported only now, with the handlers set. This imports NumPy and Numba, whose C code may
+        # turn a KeyboardInterrupt into another error.
         from async_tnt.cli.program import run
 
         return run(sys.argv[1:] if argv is None else argv)
     finally:
         gc.enable()
         if owns_process:
-            # an interpreter that ends takes a signal and calls no handler
+            # While Python shuts down, it receives signals but calls no handler. So the system's
+            # default action must end the process.
             _at_signals(_signal.SIG_DFL)
 
 
 def _at_signals(handler: Callable[[int, object], None] | int) -> None:
     """Set the handler of the signals that end the program.
 
-    Signals that are ignored stay ignored: Ctrl-C in a background job, SIGHUP under nohup.
+    A signal that is ignored stays ignored, such as Ctrl-C in a background job or SIGHUP under
+    nohup.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(_signal, name, None)  # Windows has no SIGHUP
@@ -54,7 +58,7 @@ def _at_signals(handler: Callable[[int, object], None] | int) -> None:
 
 
 def _end(number: int, frame: object) -> None:
-    """Say that a signal came, and end the process. A signal handler."""
+    """Print that a signal came, and end the process. This is a signal handler."""
     what = b"interrupted" if number == _signal.SIGINT else b"terminated"
     try:
         os.write(2, b"async-tnt: " + what + b"\n")
@@ -63,16 +67,18 @@ def _end(number: int, frame: object) -> None:
 
 
 def _open_streams() -> None:
-    """Make the standard streams such that they do not change how a command ends.
+    """Replace or adapt the standard streams, so that they cannot change how a command ends.
 
-    Closed ones become /dev/null: else a file opened later would get their number and their output.
+    A closed stream becomes /dev/null. Otherwise a file that is opened later would get the stream's
+    number, and with it the stream's output. stdout prints characters that its encoding lacks as
+    escapes. stderr drops what it cannot write.
     """
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             mode = "r" if name == "stdin" else "w"
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 (it stays open)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # the encoding of a file on Windows lacks characters
+        # on Windows, the encoding of a file lacks many characters
         sys.stdout.reconfigure(errors="backslashreplace")
     if os.name == "posix":  # the Windows console is not a file
         raw = _Stderr(sys.stderr.fileno(), "w", closefd=False)
@@ -82,13 +88,13 @@ def _open_streams() -> None:
 
 
 class _Stderr(io.FileIO):
-    """Drops what cannot be written.
+    """A file that drops what it cannot write.
 
     A closed or full stderr must not change how a command ends.
     """
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        """Write the bytes; returns how many they are, even if they were dropped."""
+        """Write the bytes. Returns their number, even if they were dropped."""
         try:
             return super().write(data)
         except OSError:

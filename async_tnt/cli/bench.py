@@ -45,16 +45,17 @@ if that is another one. On a quiet machine the quartiles are close together.
 NEW_EVENTS = (1, 100, 1300)
 """Numbers of events between two decisions; the time of the second one is measured."""
 PACKET = 1000
-"""Events of a packet."""
+"""Number of events in a packet."""
 ROUNDS = 50
 """How often all windows are pushed into the volume."""
 MOMENTS = 50
-"""Decisions that are timed in each recording."""
+"""Number of decisions that are timed in each recording."""
 N_EVENTS = 2000
-"""Events of each recording that are pushed with a decision after every one."""
+"""Number of events of each recording that are pushed with a decision after every event."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--model",
         metavar="NAME|FILE",
@@ -65,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt bench`. Returns the exit code."""
     model = model_of(args.model)
     recordings, origin = _recordings_for(model.config.sensor)
     report: dict[str, Any] = {}
@@ -95,9 +97,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
-    """The events of the bundled samples, and a description of them.
+    """The events of each bundled sample, and a description of the samples.
 
-    If the sensor has another size than the samples, their events are spread over it.
+    If `sensor` has another size than the samples' sensor, the events are spread over `sensor`.
     """
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     if sensor == SAMPLE_SENSOR:
@@ -109,13 +111,14 @@ def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
 
 
 def _packets(events: np.ndarray) -> list[np.ndarray]:
+    """Cut events into packets of `PACKET` events."""
     return [events[first : first + PACKET].copy() for first in range(0, events.size, PACKET)]
 
 
 def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
-    """Nanoseconds an event, over the first windows of all recordings.
+    """Yield the nanoseconds that one event takes on its way into the volume, once for each round.
 
-    Opening a window is not timed.
+    A round pushes the first window of every recording. Opening a window is not timed.
     """
     config = model.config
     regressor = CompiledRegressor(model) if config.needs_regressor else None
@@ -137,9 +140,9 @@ def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
 
 
 def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iterator[float]:
-    """Microseconds of `fire`, called `n_new` events after the previous decision.
+    """Yield the microseconds of each call of `fire`, `n_new` events after the previous decision.
 
-    The moments are spread over each recording.
+    The calls are evenly spread over each recording.
     """
     processor = Processor(model)
     for events in recordings:
@@ -147,6 +150,7 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
         done = 0
         for at in np.linspace(n_new, events.size, MOMENTS).astype(int):
             before = at - n_new
+            # too close to the previous timed call, or to the beginning of the recording
             if before < max(done, 1):
                 continue
             processor.push(events[done:before])
@@ -159,7 +163,7 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
 
 
 def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
-    """The rate of each recording, pushed in packets."""
+    """Yield the decisions a second in each recording, with a decision after every event."""
     processor = Processor(model, every_events=1)
     for events in recordings:
         processor.reset()
@@ -170,14 +174,14 @@ def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[
 
 
 def _spread(values: Iterator[float]) -> dict[str, float]:
-    """Median and quartiles of the values, and how many there are."""
+    """The median and the quartiles of the values, and the number of values."""
     measured = list(values)
     q1, median, q3 = np.percentile(measured, [25, 50, 75]).tolist()
     return {"median": median, "q1": q1, "q3": q3, "n": len(measured)}
 
 
 def machine() -> dict[str, Any]:
-    """What a figure depends on: processor, load, versions."""
+    """The facts that a measurement depends on: processor, load, versions."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         "cpu": _cpu_name(),
@@ -192,7 +196,7 @@ def machine() -> dict[str, Any]:
 
 
 def _cpu_name() -> str:
-    """The processor's model as the system calls it."""
+    """The name of the processor's model, as the system reports it."""
     fields = {}
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
@@ -210,7 +214,7 @@ def _cpu_name() -> str:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report for people."""
+    """Yield the report as lines of text."""
     about = report["machine"]
     config = report["model"]["config"]
     versions = [f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba")]

@@ -25,7 +25,7 @@ from async_tnt.volume.sensor import check_sensor
 REMOVED = {"--start-us": "windows begin with the first event; --between-us chooses a part"}
 
 SIZES = ", ".join(str(size) for size in PACKET_SIZES[:-1])
-"""Sizes of packets, as words."""
+"""The packet sizes as text. The last size is left out: it stands for all events at once."""
 
 DESCRIPTION = f"""\
 Compare the stream with the batch reference in torch, on recordings. For every landmark:
@@ -50,6 +50,7 @@ Exit code 0 if all of it holds, 1 if anything does not.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     add_files(parser)
     add_reading(parser)
     parser.add_argument(
@@ -64,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt check`. Returns the exit code."""
     with needs_extra("reference", "check needs the batch reference, which needs torch"):
         import tnt_reference  # noqa: F401
         import torch
@@ -101,9 +103,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
-    """Print a line for each comparison, with the worst of all recordings.
+    """Print a line for each comparison, with its worst difference over all recordings.
 
-    Then, on stderr, a line for each comparison that fails on a recording.
+    Also print a line on stderr for each comparison that fails on a recording.
     """
     merged: dict[tuple[str, str], Comparison] = {}
     for comparisons in results.values():
@@ -124,6 +126,7 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
 def _as_json(
     results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool
 ) -> dict[str, object]:
+    """All comparisons, as --json prints them."""
     return {
         "equal": equal,
         "prefixes": "all" if prefixes is None else prefixes,

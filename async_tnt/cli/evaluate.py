@@ -1,4 +1,4 @@
-"""async-tnt evaluate: how well a model classifies the recordings of a folder, streamed."""
+"""async-tnt evaluate: stream the recordings of a folder, and report how often a model is right."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from async_tnt.streaming.compile_ahead import must_compile, warmup
 from async_tnt.volume.event_forms import check_order
 
 SHOWN = 200
-"""Letters of the names of classes that an error shows."""
+"""Number of letters of class names that an error shows, at most."""
 
 REMOVED = {"--restart": "delete the file of --out to start over"}
 
@@ -80,6 +80,7 @@ usage, or if no recording could be read.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument("model", metavar="MODEL", help=MODELS)
     parser.add_argument(
         "dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>"
@@ -112,8 +113,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt evaluate`. Returns the exit code."""
     run = _how_to_run(args)
-    # here, as what is wrong with a recording is an entry of the results
+    # Checked before any recording is read: later, the error would count as a recording's own fault.
     if args.columns is not None:
         check_order("columns", args.columns)
     model = model_of(args.model)
@@ -156,7 +158,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _how_to_run(args: argparse.Namespace) -> Run:
-    """The function that streams the recordings, as the options ask for it.
+    """The function that streams the recordings: in processes here, or on a Dask cluster.
 
     Raises
     ------
@@ -174,7 +176,7 @@ def _how_to_run(args: argparse.Namespace) -> Run:
 def _tasks_of(
     found: Mapping[str, Sequence[LabelledRecording]], folder: Path, job: Job
 ) -> list[Task]:
-    """A task for each recording of a folder, named by its place in it."""
+    """A task for each recording, named by the recording's path relative to `folder`."""
     tasks = []
     for label, recordings in found.items():
         for recording in recordings:
@@ -186,14 +188,15 @@ def _tasks_of(
 def _stream(
     args: argparse.Namespace, tasks: Sequence[Task], run: Run, check: Callable[[Record], object]
 ) -> list[Record]:
-    """All records in order of the recordings' names, with a progress bar.
+    """Stream the recordings, and show a progress bar.
 
-    They are written to the file of --out, if that is given.
+    Returns the records in order of the recordings' names. With --out, they are also kept in that
+    file.
 
     Raises
     ------
-    KeyboardInterrupt : it says how many recordings are done.
-    ValueError, OSError : as `collect`.
+    KeyboardInterrupt : Ctrl-C. The error says how many recordings are done.
+    ValueError, OSError : see `collect`.
     """
     try:
         with contextlib.ExitStack() as stack:
@@ -217,11 +220,11 @@ def _stream(
 
 
 def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRecording]]:
-    """The recordings of a folder, by their classes.
+    """Name of a class -> the recordings of this class in a folder.
 
     Raises
     ------
-    ValueError : a class folder that the model does not know, or no recordings.
+    ValueError : the folder has a class that the model does not know, or has no recordings.
     OSError : the folder does not exist.
     """
     found = find_recordings(folder, "Test")
@@ -236,7 +239,13 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
 
 
 def report_of(model: Model, records: list[Record], skipped: list[str]) -> dict[str, Any]:
-    """All numbers, as `--json` prints them."""
+    """The report with all numbers, as `--json` prints it.
+
+    Parameters
+    ----------
+    records : the records without an error.
+    skipped : the error of each recording that cannot be evaluated.
+    """
     labels = [model.classes.index(record["class"]) for record in records]
     probabilities = [np.array(record["window_probabilities"]) for record in records]
     return {
@@ -251,7 +260,7 @@ def report_of(model: Model, records: list[Record], skipped: list[str]) -> dict[s
 
 
 def lines_of(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """The report as lines of text."""
     lines = [
         f"accuracy {report['accuracy']:.4f} on {report['recordings']} recordings, "
         f"{report['window_accuracy']:.4f} on {report['windows']} windows",
@@ -278,7 +287,7 @@ def lines_of(report: dict[str, Any]) -> list[str]:
 
 
 def _class_line(report: dict[str, Any], k: int) -> str:
-    """How often class k is decided right, and which classes are decided instead."""
+    """A line of text: how often class k is decided right, and which classes are decided instead."""
     classes = report["classes"]
     name = classes[k]
     row = report["confusion"][k]
@@ -286,13 +295,17 @@ def _class_line(report: dict[str, Any], k: int) -> str:
     share = "-" if accuracy is None else f"{accuracy:.3f}"
     windows = report["window_confusion"][k]
     right = f"{windows[k]:,} of {sum(windows):,}"
-    others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)
-    confused = ", ".join(f"{classes[j]} ({n})" for n, j in others[:3])
+    wrong = [(n, j) for j, n in enumerate(row) if n and j != k]
+    most_frequent = sorted(wrong, reverse=True)[:3]
+    confused = ", ".join(f"{classes[j]} ({n})" for n, j in most_frequent)
     return f"{name:<24} {share:>8} {sum(row):>11} {right:>15}  {confused}".rstrip()
 
 
 def _level_line(level: dict[str, Any]) -> str:
-    """How many windows reach a level of confidence, how many of these are right, and when."""
+    """A line of text about a level of confidence.
+
+    It says how many windows reach the level, how many of these are right, and after how long.
+    """
     right = "-"
     ms = ""
     if level["accuracy"] is not None:

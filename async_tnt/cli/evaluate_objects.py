@@ -1,4 +1,4 @@
-"""async-tnt evaluate of a map model: how many of a recording's objects it finds."""
+"""async-tnt evaluate for a map model: how many of a recording's objects the model finds."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.volume.sensor import Sensor, check_sensor
 
 NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask"
-"""Options that a model which finds objects does not have."""
+"""Names of the options that cannot be used with a model that finds objects."""
 
 
 @dataclass
 class _Found:
-    """What is found in the recordings of a data set so far.
+    """The scores of a data set: sums over the recordings that were read so far.
 
     Attributes
     ----------
-    scores : share of a window -> how many objects are found after it; empty before the first
-        recording.
-    n_moments : moments of the tables.
-    n_off : objects of the tables whose middle is off the sensor.
-    unknown : class that the model does not know -> how often the tables have it.
-    skipped : a line for each recording that cannot be read.
+    scores : share of a window -> the scores after this share; empty before the first recording.
+    n_moments : number of moments in the tables.
+    n_off : number of objects in the tables whose middle is off the sensor.
+    unknown : class that the model does not know -> number of its objects in the tables.
+    skipped : for each recording that cannot be read, the error.
     """
 
     scores: dict[float, ObjectScores] = field(default_factory=dict)
@@ -44,9 +43,12 @@ class _Found:
     skipped: list[str] = field(default_factory=list)
 
     def add(self, scores: dict[float, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
-        """Add a recording."""
-        for share, one in scores.items():
-            self.scores[share] = one + self.scores[share] if share in self.scores else one
+        """Add the scores and the table of one recording."""
+        for share, of_recording in scores.items():
+            if share in self.scores:
+                self.scores[share] += of_recording
+            else:
+                self.scores[share] = of_recording
         self.n_moments += len(np.unique(table.t))
         is_off = ((table.middle < 0) | (table.middle >= sensor)).any(axis=1)
         self.n_off += int(is_off.sum())
@@ -54,7 +56,10 @@ class _Found:
 
 
 def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
-    """Score the recordings of `args.dataset` that have tables of objects; print the report."""
+    """Score the recordings of `args.dataset` that have tables of objects, and print the report.
+
+    Returns the exit code.
+    """
     given = [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]
     if given:
         raise ValueError(f"{args.model} finds objects: {', '.join(given)} cannot be used with it")
@@ -98,7 +103,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
 def _score(
     path: Path, table_file: Path, model: Model, args: argparse.Namespace, found: _Found
 ) -> None:
-    """Score one recording, and add it to what is found.
+    """Score one recording, and add its scores to `found`.
 
     Raises
     ------
@@ -121,7 +126,7 @@ def _score(
 
 
 def _report_of(found: _Found, model: Model, n_recordings: int) -> dict[str, Any]:
-    """All numbers, as --json prints them."""
+    """The report with all numbers, as --json prints it."""
     f1_against_time = {}
     for share, scores in found.scores.items():
         after_ms = share * model.config.window_us / 1e3
@@ -138,7 +143,7 @@ def _report_of(found: _Found, model: Model, n_recordings: int) -> dict[str, Any]
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """The report as lines of text."""
     lines = [
         f"F1 {report['f1']:.4f}: {report['precision']:.4f} of {report['found']} objects found are "
         f"right, {report['recall']:.4f} of {report['objects']} are found, "

@@ -36,6 +36,7 @@ does not agree and nothing is written, 2 for bad usage or bad input.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument("model", metavar="MODEL", help=MODELS)
     parser.add_argument(
         "--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists"
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt export`. Returns the exit code."""
     from async_tnt.networks.onnx.export import to_onnx
     from async_tnt.networks.onnx.network import OnnxClassifier, import_onnxruntime
 
@@ -54,7 +56,7 @@ def main(args: argparse.Namespace) -> int:
             f"{args.model} has a landmark network, which has no ONNX form; its classifier alone "
             "runs by onnxruntime: Processor(model, classifier=OnnxClassifier(to_onnx(model)))"
         )
-    # before any work, in case it is missing
+    # imported before any work, in case onnxruntime is missing
     version = import_onnxruntime().__version__
 
     content = to_onnx(model).SerializeToString()
@@ -63,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         with replacing(args.out) as part:
             part.write_bytes(content)
-            # the file is read back: what is checked is what is kept
+            # the check reads the file that was just written, so that it checks what is kept
             compare(OnnxClassifier(part), compiled, compiled.shape)
     except ValueError as error:
         difference = one_line(error)

@@ -38,13 +38,15 @@ recording's earliest event to its latest; they are high where something moves. E
 2 if something cannot be read; the rest is shown.
 """
 BARS = " ▁▂▃▄▅▆▇█"
+"""Bars for rates of events, from none to the highest."""
 ASCII_BARS = " .:-=+*#@"
-"""Bars for an output that cannot print the others."""
+"""Bars for an output that cannot print `BARS`."""
 N_HOT = 5
-"""Hot pixels that are named, the busiest."""
+"""Number of hot pixels that are listed: the busiest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "what",
         nargs="+",
@@ -63,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt info`. Returns the exit code."""
     failed = False
     for name in args.what:
         try:
@@ -86,12 +89,13 @@ def main(args: argparse.Namespace) -> int:
 def _described(
     name: str, reading: Mapping[str, Any], written: Mapping[str, str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """A report for programs, and its lines for people.
+    """Describe a recording, a folder or a model: as a dict for --json, and as lines of text.
 
     Parameters
     ----------
+    name : the recording, the folder or the model, as it was typed.
     reading : arguments of `summarize`.
-    written : parameter -> option, for errors.
+    written : parameter -> the option that gives it, for errors.
     """
     path = user_path(name)
     if path.suffix.lower() == ".safetensors" or (name in bundled_models() and not path.exists()):
@@ -104,7 +108,7 @@ def _described(
 
 
 def _recording_lines(found: RecordingSummary) -> Iterator[str]:
-    """A recording's summary for people."""
+    """Yield a recording's summary as lines of text."""
     yield f"{found.recording}: {found.format}, {found.bytes / 1e6:,.1f} MB"
     for topic in found.topics:
         is_read = ", which is read" if topic["is_read"] else ""
@@ -133,7 +137,7 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
 
 
 def _sensor_line(found: RecordingSummary) -> str:
-    """The sensor of a recording, or how far its events reach."""
+    """A line about a recording's sensor. Without a known sensor, it says how far events reach."""
     if found.sensor is not None:
         given = "" if found.sensor_stated else ", as given"
         return f"  sensor     {format_size(found.sensor)}{given}"
@@ -143,18 +147,28 @@ def _sensor_line(found: RecordingSummary) -> str:
 
 
 def _rate_bars(found: RecordingSummary) -> str:
-    """A bar for the rate in each part of a recording; only a part without events has none."""
+    """A row of bars: the rate of events in each part of a recording.
+
+    A part with few events still has the lowest bar. Only a part without events has none.
+    """
     bars = BARS if can_print(BARS, sys.stdout) else ASCII_BARS
     most = max(found.events_a_second)
-    heights = [round(rate / most * (len(bars) - 1)) for rate in found.events_a_second]
-    least = [1 if rate > 0 else 0 for rate in found.events_a_second]
-    return "".join(bars[max(low, high)] for low, high in zip(least, heights, strict=True))
+    row = ""
+    for rate in found.events_a_second:
+        height = round(rate / most * (len(bars) - 1))
+        if rate > 0:
+            height = max(1, height)
+        row += bars[height]
+    return row
 
 
 def _of_folder(
     folder: Path, reading: Mapping[str, Any], written: Mapping[str, str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """All recordings below it, and how many each folder has: in a data set, each class."""
+    """Describe all recordings below a folder: as a dict for --json, and as lines of text.
+
+    Also count the recordings in each folder. In a data set, each folder is a class.
+    """
     paths = recordings_under(folder)
     folders = Counter(str(path.parent.relative_to(folder)) for path in paths)
     reports = []
@@ -198,7 +212,7 @@ def _of_model(model: Model) -> dict[str, Any]:
 
 
 def _model_lines(name: str, model: Model) -> Iterator[str]:
-    """What a model holds, for people."""
+    """Yield what a model holds, as lines of text."""
     config = model.config
     found = _of_model(model)
     yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"

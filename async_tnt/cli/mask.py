@@ -40,10 +40,11 @@ sensors. A sensor may have up to 2^24 pixels. Exit code 0 also if no pixel is ho
 mask then leaves nothing out.
 """
 MOST_LISTED = 10
-"""Hot pixels that are printed, the busiest."""
+"""Number of hot pixels that are printed, at most: the busiest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "files",
         nargs="+",
@@ -72,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt mask`. Returns the exit code."""
     check_writable(args.out, (".npy",))
     if args.out.exists() and any(path.exists() and path.samefile(args.out) for path in args.files):
         raise ValueError(f"--out is one of the recordings, {args.out}")
@@ -94,20 +96,20 @@ def _count(
 
     Parameters
     ----------
-    sensor : (width, height), if it is given.
+    sensor : (width, height) of --sensor; None without this option.
     reading : arguments of `open_recording`, see `reading_of`.
 
     Raises
     ------
-    ValueError, OSError : no recording or option states the sensor, two recordings have different
-        ones, or one cannot be read.
+    ValueError, OSError : a recording does not state its sensor, and neither do --sensor and the
+        recordings before it; two recordings have different sensors; or a recording cannot be read.
     """
-    counts = np.zeros((), np.int64)
+    counts = np.zeros((), np.int64)  # the first sum below has shape (H, W)
     given = sensor
     with progress(len(paths), "counting events") as bar:
         for path in paths:
             recording = open_recording(path, sensor=given, **reading)
-            # a recording that does not state its sensor has that of an earlier one
+            # a recording that does not state its sensor is taken to have that of an earlier one
             recording.sensor = recording.sensor or sensor
             if recording.sensor is None:
                 raise ValueError(
@@ -126,7 +128,13 @@ def _count(
 
 
 def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> None:
-    """Print the hot pixels of a sensor whose pixels have these numbers of events."""
+    """Print the hot pixels and their numbers of events.
+
+    Parameters
+    ----------
+    counts : int64, (H, W): the number of events of each pixel.
+    hot : bool, (H, W): whether a pixel is hot.
+    """
     found = listed_pixels(counts, hot)
     n_events = int(counts.sum())
     share = float(counts[hot].sum() / counts.sum())

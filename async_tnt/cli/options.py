@@ -1,4 +1,4 @@
-"""Options that several commands share, argparse types, and the command as words."""
+"""Options that several commands share, types for argparse, and the command as text."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from async_tnt.streaming.triggers import TriggerSettings
 from async_tnt.volume.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
 
 SAMPLES = Path("samples")
-"""The name of all bundled recordings, unless there is a file or folder of this name."""
+"""The word that means all bundled recordings, unless a file or folder has this name."""
 READABLE = ", ".join(sorted(READERS))
 """The suffixes of recordings, for help."""
 MODELS = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
 """The models that every command takes, for help."""
 MOST_DIGITS = 4300
-"""Digits of the longest whole number that Python reads."""
+"""Number of digits of the longest whole number that Python reads."""
 
 
 # -- files and models ------------------------------------------------------------------------------
@@ -37,9 +37,9 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
 
     Parameters
     ----------
-    live : whether FILE may also be a camera or udp://..., and the model an .onnx file. Adds
-        --config, too.
-    one : whether there is one FILE at most.
+    live : whether FILE may also be a camera or udp://..., and the model may be an .onnx file. If
+        so, --config is added, too.
+    one : whether at most one FILE may be given.
     """
     bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if live else ""
@@ -68,12 +68,10 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
 
 
 def paths_of(args: argparse.Namespace) -> list[Any]:
-    """The paths of the given FILEs.
+    """The paths of the given FILEs. The names of cameras and network streams stay text.
 
-    Without any, they are the bundled samples. So is the word `samples`, if no file has this
-    name.
-
-    A digit names its bundled recording, see `sample_or_path`.
+    Without a FILE, these are the paths of all bundled recordings. The word `samples` means the
+    same, if no file has this name. A digit means one bundled recording, see `sample_or_path`.
     """
     bundled = list(sample_recordings().values())
     if not args.files:
@@ -91,9 +89,9 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
 
 
 def sample_or_path(name: str | Path) -> Path:
-    """The path of a file, or that of a bundled recording for a digit, such as "3".
+    """The path of a recording. A digit, such as "3", means the bundled recording of this digit.
 
-    If a file is named by that digit, the file is meant.
+    If there is a file of this name, the file is meant.
     """
     path = Path(name)
     if path.exists():
@@ -103,7 +101,7 @@ def sample_or_path(name: str | Path) -> Path:
 
 
 def model_of(name: str) -> Model:
-    """The model of this name or path, which must not be an .onnx file."""
+    """Load the model of this name or path. An .onnx file is refused with a ValueError."""
     if Path(name).suffix.lower() == ".onnx":
         raise ValueError(
             f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed"
@@ -112,11 +110,11 @@ def model_of(name: str) -> Model:
 
 
 def of_windows(model: Model, name: str | Path) -> Model:
-    """The model, if it has one answer for a window.
+    """Return the model, if it gives each window a class.
 
     Raises
     ------
-    ValueError : a map model, whose answers are objects.
+    ValueError : the model is a map model, which finds objects instead.
     """
     if model.places is not None:
         raise ValueError(
@@ -127,7 +125,7 @@ def of_windows(model: Model, name: str | Path) -> Model:
 
 
 def _live_or_path(text: str) -> str | Path:
-    """The name of a camera or of a network stream as it is, anything else as a path.
+    """Read the name of a camera or a network stream as text, and anything else as a path.
 
     An argparse type.
     """
@@ -142,8 +140,8 @@ def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None
 
     Parameters
     ----------
-    single : whether the command takes recordings one by one, not a data set. Adds --between-us and
-        --strict, too.
+    single : whether the command takes single recordings, not a data set. If so, --between-us and
+        --strict are added, too.
     """
     group = parser.add_argument_group("how recordings are read")
     group.add_argument(
@@ -182,7 +180,7 @@ def reading_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def check_reading(args: argparse.Namespace) -> None:
-    """Refuse the options of `add_reading` for a camera or the network."""
+    """Refuse the options of `add_reading` if a source is a camera or a network stream."""
     given = [args.written[name] for name in reading_of(args)]
     live = [path for path in paths_of(args) if isinstance(path, str)]
     if given and live:
@@ -257,7 +255,13 @@ def whole_number(text: str, least: int = 0) -> int:
 
 
 def number(text: str, holds: Callable[[float], bool], rule: str) -> float:
-    """Read a number; `holds` says whether it is as the `rule`, in words, wants it."""
+    """Read a number that keeps a rule.
+
+    Parameters
+    ----------
+    holds : whether a number keeps the rule.
+    rule : the rule in words, for the error.
+    """
     with contextlib.suppress(ValueError):
         value = float(text)
         if holds(value):
@@ -294,7 +298,7 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def _yes_or_no(text: str) -> bool:
-    """Read "yes" or "no"; a ValueError for anything else."""
+    """Read "yes" as True and "no" as False. Any other text is a ValueError."""
     if text not in ("yes", "no"):
         raise ValueError
     return text == "yes"
@@ -309,15 +313,18 @@ FIELDS: dict[str, tuple[Callable[[str], Any], str]] = {
     "t_max": (float, "a number"),
     "remove_flow": (_yes_or_no, "yes or no"),
 }
-"""The fields of `TNTConfig` that --volume may give: how their values are read, and the rule."""
+"""Field of `TNTConfig` that --volume may give -> the function that reads its value, and what the
+value must be, in words."""
 
 
 def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
-    """Add --volume, the fields of `TNTConfig` that no other option gives; `volume_of` reads it.
+    """Add --volume, which gives the fields of `TNTConfig` that have no option of their own.
+
+    `volume_of` reads the option.
 
     Parameters
     ----------
-    default : what the volume is without the option, for help.
+    default : what the volume is without the option, in words, for the help.
     """
     parser.add_argument(
         "--volume",
@@ -333,7 +340,7 @@ def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
 def volume_of(text: str | None) -> dict[str, Any]:
     """Read `bins=5,polarity=split` as fields of `TNTConfig`.
 
-    Without the option there are no fields.
+    Without the option, `text` is None and there are no fields.
     """
     volume: dict[str, Any] = {}
     parts = [] if text is None else text.split(",")
@@ -353,7 +360,7 @@ def volume_of(text: str | None) -> dict[str, Any]:
 
 
 def _volume_text(text: str) -> str:
-    """Check the fields, and keep them as text. An argparse type."""
+    """Check the value of --volume, and return it as it is. An argparse type."""
     volume_of(text)
     return text
 
@@ -368,7 +375,10 @@ def command_words(
     *,
     leave_out: Collection[str] = (),
 ) -> str:
-    """The command that repeats this, without paths, which differ from machine to machine.
+    """The command as text, to repeat it elsewhere.
+
+    Options that have their default value are left out. So are paths, because they differ from
+    machine to machine.
 
     Parameters
     ----------
@@ -393,7 +403,7 @@ def command_words(
 
 
 def _value_words(name: str, value: Any) -> str:
-    """The value of an option as it is typed; of a file only its name."""
+    """The value of an option, as a user types it. A file is given by its name, without folders."""
     if isinstance(value, tuple):  # a region, a range, or a size
         separator = {"roi": ",", "size": "-"}.get(name, "x")
         value = separator.join(f"{part:g}" for part in value)

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 
 # -- text ------------------------------------------------------------------------------------------
-# All that a command prints passes through these two functions: names of files and of classes are
-# data, and may contain line breaks and what a terminal obeys.
+# Everything that a command prints passes through these two functions. Names of files and classes
+# are data: they may contain line breaks, and control characters that a terminal would obey.
+# `printable` escapes both.
 
 
 def say(*lines: str) -> None:
@@ -34,9 +35,9 @@ def note(*lines: str) -> None:
 
 
 def can_print(text: str, stream: TextIO) -> bool:
-    """Whether the encoding of this stream has all these characters.
+    """Whether a stream can print all characters of a text.
 
-    Others are printed as escapes.
+    A character that the stream's encoding lacks is printed as an escape.
     """
     try:
         text.encode(getattr(stream, "encoding", None) or "utf-8")
@@ -83,7 +84,7 @@ def message_of(error: BaseException | str, written: Mapping[str, str] | None = N
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        # a file that we write would be named
+        # an error about a file that we write names the file, so this error is about stdout
         return f"stdout: {error.strerror}"
     return str(error)
 
@@ -104,14 +105,14 @@ class DecisionLines:
     Parameters
     ----------
     as_json : whether each line is a JSON object.
-    with_latency : whether each line says its latency.
+    with_latency : whether each line has the latency of its decision.
     """
 
     as_json: bool
     with_latency: bool
 
     def print_header(self) -> None:
-        """Print the names of the columns; nothing with `as_json`."""
+        """Print the names of the columns. With `as_json`, print nothing."""
         if not self.as_json:
             latency = f" {'us':>7}" if self.with_latency else ""
             say(
@@ -131,7 +132,7 @@ class DecisionLines:
         Parameters
         ----------
         name : name of the recording or of another source.
-        latency_us : microseconds from the event, or the packet, to the decision.
+        latency_us : microseconds of the call that made the decision.
         queue : the queue in which the packets waited, if there is one.
         """
         if self.as_json:
@@ -140,6 +141,7 @@ class DecisionLines:
             say(self._text(name, decision, latency_us))
 
     def _text(self, name: str, decision: Decision, latency_us: float) -> str:
+        """A decision as a line for people."""
         start_ms = decision.window_start_us / 1e3
         length_ms = (decision.time_us - decision.window_start_us) / 1e3
         window = f"{start_ms:.3f}+{length_ms:.3f}"
@@ -157,6 +159,7 @@ class DecisionLines:
     def _json(
         self, name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None
     ) -> str:
+        """A decision as a line of JSON."""
         about = {"recording": name, **decision.to_dict()}
         if self.with_latency:
             about["latency_us"] = round(latency_us, 3)

@@ -41,12 +41,15 @@ def check_keep_up(args: argparse.Namespace) -> None:
 def find_sources(
     paths: Sequence[Path | str], pixels: ModelPixels, written: Mapping[str, str] | None = None
 ) -> None:
-    """Return as soon as one of these sources can be opened; all are closed again.
+    """Check that at least one of these sources can be opened.
+
+    The sources are tried in order until one can be opened. It is closed again.
 
     Parameters
     ----------
     paths : paths of recordings, and names of cameras and network streams.
-    written : parameter -> option, for the errors that are printed.
+    pixels : the pixels that the model sees; they must suit the source, too.
+    written : parameter -> the option that gives it, for the errors that are printed.
 
     Raises
     ------
@@ -78,19 +81,20 @@ def follow(
     take: Callable[[Iterable[Any], KeepUp | None], object],
     end: Callable[[KeepUp | None], str] = lambda reader: "",
 ) -> bool:
-    """Let `take` read a source until that ends or Ctrl-C; then print its counts.
+    """Let `take` read a camera or a network stream, and print the source's counts at the end.
 
-    Returns whether Ctrl-C ended it.
+    Reading ends when the source ends, or at Ctrl-C. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
     name : name of the source, as `open_source` takes it.
-    processor : the stream that `take` gives the packets to.
+    processor : the Processor to which `take` gives the packets.
     keep_up_ms : the value of --keep-up. None: no packet is skipped here, but the source's own
         buffer may overflow.
-    take : called with the packets, without the events of pixels to leave out, and with the queue in
-        which they wait; None for no queue.
-    end : called with that queue at the end. The text that it returns is printed behind the counts.
+    take : called once, with the packets and with the queue in which they wait; None without
+        --keep-up. The packets hold only events of the pixels that the model sees.
+    end : called with the same queue at the end. The text that it returns is printed after the
+        counts.
     """
     with contextlib.ExitStack() as stack:
         source = open_source(name, pixels.expected)
@@ -113,17 +117,17 @@ def follow(
             take(packets, queue)
         except KeyboardInterrupt:
             return True
-        finally:  # also if a camera was unplugged
+        finally:  # the counts are printed even if a camera was unplugged
             counts = source.summary()
             if queue is not None:
-                queue.close()  # what still waits is skipped
+                queue.close()  # packets that still wait are skipped
                 counts += _kept_up(queue)
             complain(f"{source.name}: {counts}{end(queue)}")
     return False
 
 
 def _kept_up(queue: KeepUp) -> str:
-    """What a queue has done so that decisions keep up with the events, behind other counts."""
+    """Text for the counts: what a queue did so that decisions keep up with the events."""
     found = queue.counters
     waited_ms = found.longest_wait_us / 1e3
     text = f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"

@@ -11,19 +11,21 @@ from typing import Any, NoReturn
 from async_tnt.base.messages import printable
 
 OPTION_LIKENESS = 0.7
-"""How alike a mistyped option and the one that was meant must be, from 0 to 1, see `difflib`."""
+"""The least likeness, from 0 to 1, of a mistyped option and the option that is suggested. See
+`difflib`."""
 COMMAND_LIKENESS = 0.6
-"""The same for commands. Options must be more alike, as all begin with two dashes."""
+"""The least likeness of a mistyped command and the command that is suggested. The limit for options
+is higher, because all options begin with two dashes."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a mistake in one line, as all commands do; `--help` says the rest.
+    """A parser that reports a mistake in one line, as all commands do.
 
     Attributes
     ----------
     commands : name of a command -> the parser of its options.
     mistyped : a word of the command line, and what it was probably meant to be; None if no word is
-        mistyped. An error says it, too.
+        mistyped. The message of `error` suggests the correction.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -46,6 +48,7 @@ class Parser(argparse.ArgumentParser):
         }
 
     def error(self, message: str) -> NoReturn:
+        """Print a mistake in one line, and end the program with exit code 2."""
         if self.mistyped is not None:
             word, meant = self.mistyped
             if word in message:
@@ -56,7 +59,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def refuse_dashes(parser: Parser, argv: Sequence[str]) -> None:
-    """Refuse --option=--, for which argparse gives a command an empty list instead of text."""
+    """Refuse --option=--: argparse would give the command an empty list instead of a text."""
     for word in _before_files(argv):
         if word.startswith("-") and word.endswith("=--"):
             option = word.removesuffix("=--")
@@ -64,7 +67,9 @@ def refuse_dashes(parser: Parser, argv: Sequence[str]) -> None:
 
 
 def refuse_removed(parser: Parser, argv: Sequence[str], removed: Mapping[str, str]) -> None:
-    """Refuse an option that the version before had, in one line that says what to write instead.
+    """Refuse an option of the previous version that no longer exists.
+
+    The error says what to write instead.
 
     Parameters
     ----------
@@ -79,24 +84,25 @@ def refuse_removed(parser: Parser, argv: Sequence[str], removed: Mapping[str, st
 def mistyped(
     words: Sequence[str], options: Sequence[str], commands: Sequence[str] = ()
 ) -> tuple[str, str] | None:
-    """Find the first mistyped word: no option, or no command, but nearly one.
+    """Find the first word that is nearly an option or a command, but not quite.
 
     Parameters
     ----------
-    words : the words of the command line, as they were typed. With `commands`, they may hold a
-        command, and only they and the words before it are looked at.
-    options, commands : the words that are right.
+    words : the words of the command line, as they were typed.
+    options : the options that exist.
+    commands : the commands that exist. If they are given, the first word that does not look like an
+        option is compared with them, and the words after it are not examined.
 
     Returns
     -------
-    The word, and what it was probably meant to be; None if no word is nearly right.
+    The word, and what it was probably meant to be; None if there is no such word.
 
     Examples
     --------
     >>> mistyped(["a.npz", "--modle", "x"], ["--model", "--out"])
     ('--modle', '--model')
 
-    argparse takes the beginning of an option for the option:
+    The beginning of an option is no mistake, because argparse takes it for the option:
 
     >>> mistyped(["a.npz", "--mod", "x"], ["--model", "--out"]) is None
     True
@@ -117,16 +123,16 @@ def mistyped(
 
 
 def _before_files(words: Iterable[str]) -> Iterator[str]:
-    """The words up to `--`, which only files follow."""
+    """The words before `--`. Only files follow it."""
     return itertools.takewhile(lambda word: word != "--", words)
 
 
 def _is_option(word: str) -> bool:
-    """Whether a word has the form of an option. A negative number has not."""
+    """Whether a word looks like an option. A negative number does not."""
     return len(word) > 1 and word.startswith("-") and not word[1].isdigit()
 
 
 def _nearest(word: str, known: Sequence[str], likeness: float) -> str | None:
-    """The known word that is most like this one; None if none is so alike."""
+    """The known word that is most like `word`; None if no known word reaches `likeness`."""
     found = difflib.get_close_matches(word.lower(), known, n=1, cutoff=likeness)
     return found[0] if found else None

@@ -1,4 +1,4 @@
-"""The options that leave out events by their pixels, before anything else sees them."""
+"""The options that choose pixels. Events of other pixels are left out before anything else."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
 
 
 def pixels_of(args: argparse.Namespace) -> Pixels:
-    """The pixels that the options name; reads the mask.
+    """The pixels that the options choose. The file of --mask is read here.
 
     Raises
     ------
-    ValueError, OSError : options that exclude each other; a mask file that is missing, damaged or
-        not a mask.
+    ValueError, OSError : the options exclude each other; or the file of --mask is missing, damaged
+        or not a mask.
     """
     return Pixels(args.roi, args.crop, args.mask, args.sensor)
 
@@ -66,7 +66,7 @@ def model_pixels_of(pixels: Pixels, model: Model | TNTConfig) -> ModelPixels:
 
     Raises
     ------
-    ValueError : a region, a mask or a camera of another size than the model's sensor.
+    ValueError : the region, the mask or the camera has another size than the model's sensor.
     """
     if isinstance(model, TNTConfig):
         return ModelPixels(pixels, model.sensor)
@@ -74,10 +74,10 @@ def model_pixels_of(pixels: Pixels, model: Model | TNTConfig) -> ModelPixels:
 
 
 def sensor_to_read(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
-    """The size, in pixels, that a map model is to read.
+    """The (width, height) of the sensor for which a map model is prepared; None if not known yet.
 
-    It is that of the region with --crop, else of --sensor or of the mask, else of the first
-    recording, if that states one.
+    It is the first known one of these sizes: the region with --crop, the size of --sensor, the
+    mask's size, the sensor that the first recording states.
     """
     given = pixels.region or pixels.camera
     if given is not None:
@@ -85,14 +85,14 @@ def sensor_to_read(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
     paths = paths_of(args)
     if not paths or isinstance(paths[0], str):  # a camera or the network
         return None
-    # what is wrong with the recording is told when it is read
+    # an error of the recording is reported later, when its events are read
     with contextlib.suppress(OSError, ValueError, ImportError):
         return open_recording(paths[0], **reading_of(args)).sensor
     return None
 
 
 def _region(text: str) -> Region:
-    """`100,80,34,34` as (100, 80, 34, 34): a type of argparse."""
+    """Read `100,80,34,34` as (100, 80, 34, 34). An argparse type."""
     try:
         left, top, width, height = [int(number) for number in text.split(",")]
     except ValueError:

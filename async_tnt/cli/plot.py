@@ -28,7 +28,7 @@ from async_tnt.volume.config import TIME_IMAGES, TNTConfig
 from async_tnt.volume.sensor import check_sensor, format_size
 
 DPI = 100
-"""Pixels of an inch. Figures are 10.4 inches wide."""
+"""Pixels per inch. Figures are 10.4 inches wide."""
 DEFAULT_MODEL = "digits"
 DEFAULT_SAMPLE = 3
 """The digit of the bundled recording that is drawn if no file is given."""
@@ -54,6 +54,7 @@ trained on.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "file",
         nargs="?",
@@ -91,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt plot`. Returns the exit code."""
     path = sample_or_path(user_path(args.file))
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
@@ -113,11 +115,11 @@ def main(args: argparse.Namespace) -> int:
 
 
 def subject_of(path: Path, args: argparse.Namespace) -> Subject:
-    """The recording, and how it is drawn by the model and the options.
+    """The recording, with the model and the configuration by which it is drawn.
 
     Raises
     ------
-    ValueError : the recording is empty or damaged, or of another sensor, or the options do not fit
+    ValueError : the recording is empty, damaged or of another sensor; or the options do not fit
         each other or the model.
     OSError : a file is missing or not readable.
     """
@@ -153,16 +155,16 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
 
 
 def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
-    """A configuration with the options' changes.
+    """The configuration, with the changes of --volume and --window-us.
 
     Raises
     ------
-    ValueError : the changes cannot be drawn, or do not fit each other.
+    ValueError : the changed configuration cannot be drawn, or the changes do not fit each other.
     """
     changes = volume_of(args.volume)
     if args.window_us is not None:
         changes["window_us"] = args.window_us
-    # flow can be removed about the landmark `line` alone
+    # the flow can be removed only with the landmark `line`
     if changes.get("landmark", "line") != "line":
         changes.setdefault("remove_flow", False)
     kind = changes.get("representation", config.representation)
@@ -170,7 +172,8 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         raise ValueError(
             f"event volumes and counts can be drawn, but not {kind} (--model, --volume)"
         )
-    if changes.setdefault("transform", "tnt") != "tnt":
+    transform = changes.setdefault("transform", "tnt")
+    if transform != "tnt":
         raise ValueError(
             "--volume transform=none: the volume without the transform is drawn anyway, beside the "
             "other"

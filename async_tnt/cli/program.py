@@ -17,9 +17,9 @@ from async_tnt.cli.output import complain
 from async_tnt.cli.parser import Parser, mistyped, refuse_dashes, refuse_removed
 from async_tnt.cli.signals import Signals, handled_by
 
-# The name of each command, and its line of help. A module of that name beside this one has
-# DESCRIPTION, add_arguments(parser) and main(args). It may have REMOVED: options of the version
-# before, each with what to write instead.
+# Name of a command -> its line of help. The module `cli/NAME.py` of a command has DESCRIPTION,
+# add_arguments(parser) and main(args). It may also have REMOVED: option of the previous version ->
+# what to write instead.
 COMMANDS = {
     "run": "stream recordings through a model and print its decisions",
     "record": "record a camera or a network stream into class folders",
@@ -43,7 +43,7 @@ EPILOG = (
 
 
 def build_parser(argv: Sequence[str]) -> Parser:
-    """The parser of the program. Of its commands only the one that `argv` names is imported."""
+    """The parser of the program. Only the module of the command that `argv` names is imported."""
     parser = Parser(
         prog="async-tnt",
         description="Classify what an event camera sees, event by event.",
@@ -67,7 +67,10 @@ def build_parser(argv: Sequence[str]) -> Parser:
 
 
 def _add_command(parser: Parser, name: str, argv: Sequence[str]) -> None:
-    """Add the description and the options of a command to its parser."""
+    """Add the description and the options of a command to its parser.
+
+    Removed options in `argv` are refused here, and a mistyped option is noted.
+    """
     module = importlib.import_module(f"async_tnt.cli.{name}")
     parser.description = module.DESCRIPTION
     module.add_arguments(parser)
@@ -82,7 +85,7 @@ def _add_command(parser: Parser, name: str, argv: Sequence[str]) -> None:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run the program with these arguments. Returns its exit code, as `cli.main`."""
+    """Run the program with these arguments. Returns the exit code, see `cli.main`."""
     try:
         code = _run(argv)
     except SystemExit as stopped:  # argparse ends the program: --help, --version, bad usage
@@ -101,19 +104,20 @@ def _run(argv: Sequence[str]) -> int:
         args = _arguments(argv)
         written = args.written
         code = _run_command(args, signals)
-    except BrokenPipeError:  # `| head`: the reader has seen enough
+    except BrokenPipeError:  # the reader of stdout, such as `head`, wants no more: no error
         pass
     except (OSError, ValueError, ParameterError, ImportError, MemoryError) as error:
         complain(error, written)
         code = 2
     except KeyboardInterrupt as error:
         interrupted = str(error)
-        # the first one counts: this one is new only if no other signal raised the KeyboardInterrupt
+        # The first signal in this list decides the exit code. This SIGINT decides only if the list
+        # was empty: then `signals.interrupt` did not raise the KeyboardInterrupt.
         signals.received.append(signal.SIGINT)
     except Exception:
+        # If a signal came, C code has turned our KeyboardInterrupt into this error.
         if not signals.received:
             raise
-        # C code turned the KeyboardInterrupt into another error
     finally:
         sys.unraisablehook = signals.hook
 
@@ -123,9 +127,10 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _arguments(argv: Sequence[str]) -> argparse.Namespace:
-    """The parsed command line. `main` is the function of the command.
+    """The parsed command line, with two more fields.
 
-    `written` maps the names of parameters to the options that give them, for errors.
+    `main` is the function of the command. `written` maps the name of a parameter to the option that
+    gives it, for errors.
     """
     parser = build_parser(argv)
     args, unknown = parser.parse_known_args(argv)
@@ -135,9 +140,13 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _run_command(args: argparse.Namespace, signals: Signals) -> int:
-    """Call the function of the command. Warnings are printed, signals raise KeyboardInterrupt."""
+    """Call the function of the command. Returns the exit code.
+
+    Meanwhile warnings are printed, and signals that end the command raise KeyboardInterrupt.
+    """
     with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.before:
-        # A warning, such as of a damaged recording, is one line without its place in the code.
+        # A warning, such as about a damaged recording, is printed in one line, without its place in
+        # the code.
         warnings.showwarning = lambda message, *where: complain(
             message, args.written, before="warning: "
         )
@@ -146,15 +155,15 @@ def _run_command(args: argparse.Namespace, signals: Signals) -> int:
 
 
 def _code_after_signal(number: int, code: int, interrupted: str) -> int:
-    """The exit code of a command that a signal ended.
+    """Report the signal that ended a command. Returns the exit code.
 
-    The signal is told, unless the command has failed and said so itself.
+    The signal is not reported if the command has failed: its error was reported already.
 
     Parameters
     ----------
     number : number of the signal.
     code : the exit code of the command.
-    interrupted : what the command says about its interruption; "" for nothing.
+    interrupted : the command's own words about its interruption; "" if it has none.
     """
     if code < 2:
         usual = "interrupted" if number == signal.SIGINT else "terminated"
@@ -163,9 +172,10 @@ def _code_after_signal(number: int, code: int, interrupted: str) -> int:
 
 
 def _flushed(code: int) -> int:
-    """Flush stdout and return the exit code.
+    """Flush stdout. Returns the exit code: `code`, or 2 if stdout cannot be written.
 
-    If the flush at the end of the interpreter failed, the exit code would be 120.
+    A closed pipe is no error. Python would also flush stdout when it ends, but if that failed, the
+    exit code would be 120.
     """
     try:
         sys.stdout.flush()
@@ -173,6 +183,6 @@ def _flushed(code: int) -> int:
         if code < 2 and not isinstance(error, BrokenPipeError):
             complain(error)
             code = 2
-        # the rest of the buffer goes nowhere
+        # Python flushes the rest of the buffer when it ends: it goes to /dev/null, without an error
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code

@@ -51,7 +51,7 @@ shown meanwhile. Exit code 2 if no event came, the camera was unplugged, or the 
 came before is kept. An event is in the file as soon as it has come, even if the program is killed.
 """
 LONGEST_NAME = 255
-"""Bytes of the longest name, on most file systems."""
+"""Bytes of the longest file name that most file systems allow."""
 EVERY_S = 0.1
 """Seconds between two pictures of the last events."""
 COLUMNS = 64
@@ -63,9 +63,9 @@ LEAST_COLUMNS = 9
 LEAST_ROWS = 5
 """A picture with fewer rows is not shown."""
 BLOCKS = " ▀▄█"
-"""Characters whose upper pixel, lower pixel or both are lit: neither, upper, lower, both."""
+"""Characters that show two pixels, one above the other. Lit: none, the upper, the lower, both."""
 ASCII_BLOCKS = " '.#"
-"""The same, where the terminal's encoding does not have `BLOCKS`."""
+"""Characters that replace `BLOCKS` if the terminal's encoding lacks them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -116,15 +116,16 @@ def main(args: argparse.Namespace) -> int:
         return _record(source, args.label, folder, args.seconds)
     finally:
         source.close()
-        # a class without recordings would be an error of `train`
+        # remove the folder if it is empty: `train` would refuse a class without recordings
         with contextlib.suppress(OSError):
             folder.rmdir()
 
 
 def _class_name(text: str) -> str:
-    """Read the name of a class: of a folder that `train` reads. An argparse type.
+    """Read the name of a class. An argparse type.
 
-    `train` leaves out folders whose names begin with a dot.
+    The name becomes the name of a folder that `train` reads. It must not begin with a dot, because
+    `train` leaves out such folders.
     """
     is_plain = text != "" and Path(text).name == text and text.isprintable()
     is_seen = text == text.strip() and not text.startswith(".")
@@ -144,9 +145,9 @@ def _folder(text: str) -> Path:
 
 
 def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int:
-    """Record until the source ends, and describe each file as soon as it is complete.
+    """Record until the source ends. Returns the exit code.
 
-    Returns the exit code.
+    A JSON file beside each recording describes it, as soon as the recording is complete.
     """
     picture = _Picture(source.sensor, label)
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
@@ -154,7 +155,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
     problems: list[OSError] = []
 
     def completed(file: DatFile) -> None:
-        """Write what recorded this file beside it, and keep the line that is printed about it."""
+        """Write the description of a recording, and keep the line to print about it at the end."""
         about = {
             "source": source.name,
             "class": label,
@@ -174,7 +175,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
         except OSError as error:  # the recording goes on
             problems.append(error)
 
-    as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compiles, before the time begins
+    as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compile before the time begins
     with _ended_in_time(source, seconds):
         complain(f"recording {label} from {source.name} into {folder}; Ctrl-C stops")
         try:
@@ -183,7 +184,8 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
                     events = as_events(packet, source.sensor)
                     writer.write(events)
                     picture.show(events)
-        except OSError as error:  # unplugged, or the disk is full: what came before is kept
+        except OSError as error:
+            # the camera was unplugged, or the disk is full: what came before is kept
             problems.append(error)
         finally:
             # The lines are printed last: a terminal that is gone must not end the recording.
@@ -199,11 +201,13 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
 
 @contextlib.contextmanager
 def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
-    """Close the source after so many seconds, or at a signal such as Ctrl-C.
+    """Close the source after `seconds`, or at a signal such as Ctrl-C.
 
-    However many signals come, the block runs to its end; then the first has its usual effect.
+    Signals do not interrupt the block. After the block, the first signal that came has its usual
+    effect. `seconds` None: only a signal closes the source.
     """
-    asked: SimpleQueue[int] = SimpleQueue()  # a signal handler may `put` while another does
+    # a SimpleQueue: a signal handler may call `put` while another call of `put` is running
+    asked: SimpleQueue[int] = SimpleQueue()
     signals: list[int] = []
 
     def close_when_asked() -> None:
@@ -215,8 +219,8 @@ def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
         signals.append(number)
         asked.put(number)
 
-    # A thread closes the source, as `close` waits for a read to end, and a signal handler might run
-    # in the middle of one.
+    # `close` waits until a running read has ended. A signal handler may run in the middle of that
+    # read, and would wait forever. So a thread closes the source.
     closing = threading.Thread(target=close_when_asked, name="async_tnt.record", daemon=True)
     closing.start()
     try:
@@ -232,20 +236,22 @@ def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
 
 
 def _new_file(folder: Path) -> io.FileIO:
-    """Open a file that was not there, named by the time. No other process gets the same file."""
+    """Create a file named by the time, and open it. No other process gets the same file."""
     now = time.strftime("%Y%m%d_%H%M%S")
     for n in itertools.count(1):
         stem = now if n == 1 else f"{now}_{n}"
         is_free = not any(folder.glob(f"{stem}.*"))
         if is_free:
-            # another process may have made it meanwhile
+            # another process may have created this file meanwhile
             with contextlib.suppress(FileExistsError):
                 return (folder / f"{stem}.dat").open("xb", buffering=0)
     raise AssertionError("unreachable")
 
 
 class _Picture:
-    """The last events and their rate, drawn over and over on a terminal; nothing elsewhere.
+    """Draws the last events and their rate on a terminal, again and again.
+
+    If stderr is not a terminal, or the terminal is too small, nothing is drawn.
 
     Parameters
     ----------
@@ -264,7 +270,8 @@ class _Picture:
         has_room = self._columns >= LEAST_COLUMNS and self._rows >= LEAST_ROWS
         self._is_shown = has_room and sys.stderr.isatty()
 
-        # events of each place since the last picture; two places a character, one above the other
+        # The number of events since the last picture, at each pixel of the picture. A character
+        # shows two pixels, one above the other.
         self._counts = np.zeros((2 * self._rows, self._columns), np.int64)
         self._n_events = 0
         self._is_drawn = False
@@ -272,7 +279,7 @@ class _Picture:
         self._drawn_s = self._started_s
 
     def show(self, events: np.ndarray) -> None:
-        """Count these events, and draw if it is time."""
+        """Count these events, and draw a picture if `EVERY_S` have passed since the last one."""
         if not self._is_shown:
             return
         width, height = self._sensor
@@ -290,7 +297,7 @@ class _Picture:
             self._counts[:] = 0
 
     def _draw(self, now_s: float) -> None:
-        """Write the picture over the one before."""
+        """Write a picture over the previous one."""
         lit = self._counts > max(1.0, self._counts.mean())
         upper = lit[::2]
         lower = lit[1::2]
@@ -302,6 +309,7 @@ class _Picture:
         caption = f"{self._label}: {seconds:.1f} s, {rate:,.0f} events a second"
         lines.append(caption.ljust(self._columns))
 
+        # moves the cursor up to the first line of the previous picture
         up = f"\x1b[{len(lines)}A" if self._is_drawn else ""
         # the recording goes on if the terminal is gone
         with contextlib.suppress(OSError, ValueError):

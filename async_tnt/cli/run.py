@@ -86,12 +86,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class _Run:
-    """What the events of all sources pass through.
+    """The objects that the events of all sources pass through.
 
     Attributes
     ----------
     engine : the model, and what computes it.
-    processor : the stream; `reset` before each source.
+    processor : the Processor, which is reset before each source.
     pixels : the pixels whose events count.
     lines : how decisions are printed.
     """
@@ -127,7 +127,7 @@ def main(args: argparse.Namespace) -> int:
             raise
         except (OSError, ValueError, ImportError) as error:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-                # the disk of our output is full, the recording is not at fault
+                # our output does not fit on its disk, so the error is not about this recording
                 raise
             message = message_of(error, args.written)
             complain(message if str(path) in message else f"{path}: {message}")
@@ -141,7 +141,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _prepared(args: argparse.Namespace) -> _Run:
-    """The model and the stream that the options name. One source at least can be opened.
+    """Load the model, make the Processor, and check that at least one source can be opened.
 
     Raises
     ------
@@ -161,7 +161,8 @@ def _prepared(args: argparse.Namespace) -> _Run:
         start_us=args.start_us,
         **triggers_of(args),
     )
-    # The first call of an engine takes longer. The empty window changes nothing.
+    # The first call of an engine takes longer, so it is made now. A decision about an empty window
+    # changes nothing.
     processor.fire()
     return _Run(engine, processor, pixels, DecisionLines(args.json, args.latency))
 
@@ -170,7 +171,10 @@ def _prepared(args: argparse.Namespace) -> _Run:
 
 
 def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None:
-    """Print the decisions of a recording, and its class: the best mean probability of its windows.
+    """Print the decisions of a recording, then the recording's class.
+
+    This is the class with the highest mean probability over the closed windows. It is not printed
+    as JSON, or if the model finds objects.
 
     Raises
     ------
@@ -199,7 +203,7 @@ def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None
 def _pushed_packets(
     packets: Iterable[np.ndarray], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
-    """Each decision, and the microseconds of the call with its packet."""
+    """Push packets. Yields each decision, and the microseconds of the call that made it."""
     time_unit = TimeUnitCheck(processor.config)
     for packet in packets:
         handed_over_ns = time.perf_counter_ns()
@@ -212,7 +216,7 @@ def _pushed_packets(
 def _pushed_events(
     packets: Iterable[np.ndarray], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
-    """Each decision, and the microseconds of the call with the event that caused it."""
+    """Push single events. Yields each decision, and the microseconds of the call that made it."""
     clock_ns = time.perf_counter_ns
     time_unit = TimeUnitCheck(processor.config)
     for packet in packets:
@@ -229,7 +233,7 @@ def _pushed_events(
 def _with_end(
     decided: Iterable[tuple[Decision, float]], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
-    """These decisions, then those at the end of the stream, and the microseconds of that call."""
+    """Yield these decisions, then those of `finish` with the microseconds of that call."""
     yield from decided
     handed_over_ns = time.perf_counter_ns()
     decisions = processor.finish()
@@ -242,9 +246,9 @@ def _with_end(
 
 
 def _run_live(run: _Run, name: str, keep_up_ms: int | None) -> bool:
-    """Print decisions until the source ends or Ctrl-C; then print the counts.
+    """Print the decisions of a camera or a network stream, and the counts at the end.
 
-    Returns whether Ctrl-C ended it.
+    Reading ends when the source ends, or at Ctrl-C. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------

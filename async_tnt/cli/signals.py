@@ -11,24 +11,24 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-# Ctrl-C; SIGTERM of systemd, docker and timeout; SIGHUP of a terminal that closes. Windows has no
-# SIGHUP.
+# Ctrl-C sends SIGINT. systemd, docker and `timeout` send SIGTERM. A terminal that closes sends
+# SIGHUP, which Windows does not have.
 ENDING = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
 REPEATED_S = 1.0
-"""Seconds within which a second signal is the same request to end."""
+"""Seconds within which a second signal counts as the same request to end."""
 UNSAFE_MODULES = ("importlib._bootstrap", "llvmlite.", "numba.")
-"""Beginnings of the names of modules whose C code does not expect an exception."""
+"""Beginnings of module names. The C code of these modules cannot handle a KeyboardInterrupt."""
 
 
 class Signals:
-    """What a command does at the signals that end it, and which of them came.
+    """Handles the signals that end a command, and notes which of them came.
 
     Attributes
     ----------
     received : the numbers of the signals, in the order in which they came.
-    before : number -> the handler that was there before the command began.
+    before : number of a signal -> its handler before the command began.
     hook : `sys.unraisablehook` as it was before the command began.
     """
 
@@ -39,10 +39,11 @@ class Signals:
         self._accepted_s = 0.0
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt at any of the signals, so that a command can clean up.
+        """Raise KeyboardInterrupt, so that the command can clean up. This is a signal handler.
 
-        A signal that follows at once does nothing: a terminal that is closed sends two, and the
-        second would end the cleaning up. A later one is obeyed, in case that takes forever.
+        A second signal within `REPEATED_S` is ignored: a terminal that closes sends two, and the
+        second one would interrupt the cleaning up. A later signal raises again, in case the
+        cleaning up never ends.
         """
         now_s = time.monotonic()
         if self.received and now_s < self._accepted_s + REPEATED_S:
@@ -51,14 +52,15 @@ class Signals:
         self.received.append(number)
 
         if _is_unsafe(frame):
+            # the program's own previous handler, `cli._end`, ends the process here
             self._call_before(number, frame)
         raise KeyboardInterrupt
 
     def report(self, dropped: sys.UnraisableHookArgs) -> None:
-        """Handle an exception that Python drops; a `sys.unraisablehook`.
+        """Handle an exception that Python drops. This is a `sys.unraisablehook`.
 
-        Python drops what is raised in a `__del__` or in a callback of C code. If that is our
-        KeyboardInterrupt, the process ends here.
+        Python drops an exception that is raised in a `__del__` or in a callback of C code. If it is
+        our KeyboardInterrupt, the process ends here.
         """
         if self.received and isinstance(dropped.exc_value, KeyboardInterrupt):
             self._call_before(self.received[-1], None)
@@ -66,7 +68,10 @@ class Signals:
             self.hook(dropped)
 
     def _call_before(self, number: int, frame: FrameType | None) -> None:
-        """Call the handler of before, if there was one. The program's own ends the process."""
+        """Call the previous handler of a signal, if there was one.
+
+        The program's own previous handler, `cli._end`, ends the process.
+        """
         handler = self.before.get(number)
         if callable(handler):
             handler(number, frame)
@@ -74,16 +79,16 @@ class Signals:
 
 @contextmanager
 def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[int, Any]]:
-    """Call `handler` for the signals in `ENDING` within the block; yields the previous handlers.
+    """Call `handler` for the signals in `ENDING` within the block. Yields the previous handlers.
 
-    Signals that are ignored stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside
-    of the main thread nothing changes, as Python can set handlers only there.
+    A signal that is ignored stays ignored, such as Ctrl-C in a background job or SIGHUP under
+    nohup. Python sets handlers in the main thread only, so nothing changes in other threads.
     """
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for number in ENDING:
             known = signal.getsignal(number)
-            # None: C code has set the handler, and Python could not set it again
+            # None: C code has set the handler, and Python could not restore it
             if known not in (signal.SIG_IGN, None):
                 before[number] = known
 
@@ -99,8 +104,9 @@ def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dic
 def _is_unsafe(frame: FrameType | None) -> bool:
     """Whether an import or a compilation is running in this frame or in one of its callers.
 
-    Their C code prints a KeyboardInterrupt and continues, turns it into another error, or crashes:
-    LLVM calls back for each kernel that it loads from the cache.
+    Their C code cannot handle a KeyboardInterrupt: it prints the exception and continues, turns it
+    into another error, or crashes. LLVM also calls Python back for each kernel that it loads from
+    the cache.
     """
     while frame is not None:
         module = str(frame.f_globals.get("__name__"))

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 __all__ = ["DESCRIPTION", "REMOVED", "add_arguments", "main"]
 
 FEW_PATHS = 0.2
-"""Share of windows whose motion is found, below which there is a warning."""
+"""If the motion is found in a smaller share of the windows, there is a warning."""
 
 
 @dataclass(frozen=True)
 class _Outputs:
-    """Where a training writes.
+    """The paths to which a training writes.
 
     Parameters
     ----------
@@ -52,17 +52,17 @@ class _Outputs:
 
     @property
     def numbers(self) -> Path:
-        """The results and the history, as JSON."""
+        """The JSON file with the results and the history."""
         return self.model.with_suffix(".json")
 
     @property
     def curves(self) -> Path:
-        """A picture of loss and accuracy against epochs."""
+        """The picture of loss and accuracy against epochs."""
         return self.model.with_suffix(".curves.png")
 
     @property
     def run_folder(self) -> Path:
-        """What is kept for resuming."""
+        """The folder with what is needed to resume."""
         return self.model.parent / "runs" / self.model.stem
 
 
@@ -91,7 +91,7 @@ def _check_outputs(outputs: _Outputs) -> None:
     from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES
 
     run_folder = outputs.run_folder
-    # q.pt and q.safetensors would share a run folder and q.json
+    # one suffix only: models q.pt and q.safetensors would share the run folder and q.json
     check_writable(outputs.model, (".safetensors",))
     check_ours(
         [outputs.numbers, outputs.curves, outputs.model], ('"held_out"', '"summary"', '"history"')
@@ -174,7 +174,7 @@ def _train(args: argparse.Namespace, outputs: _Outputs) -> None:
 
 
 def _command(args: argparse.Namespace) -> str:
-    """The command as it was given, without paths. --mask stays, as it decides what is learned."""
+    """The command as text, without paths. --mask is named, because it changes what is learned."""
     command = command_words("async-tnt train", args, add_arguments, leave_out=("json",))
     return command if args.mask is None else f"{command} --mask MASK"
 
@@ -183,10 +183,10 @@ def _command(args: argparse.Namespace) -> str:
 
 
 def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, TrainSettings]:
-    """The windows of DATASET, and how to train on them.
+    """Read the windows of DATASET, and the settings of the training.
 
-    What the options rule out, and a run with another volume, network or seed, is refused before any
-    recording is read.
+    Two things are refused before any recording is read: options that do not fit each other, and a
+    run folder of a training with another volume, network or seed.
     """
     from async_tnt.training.data import dataset_data
     from async_tnt.training.held_out import Split
@@ -246,7 +246,7 @@ def _check_volume(args: argparse.Namespace, transform: str) -> None:
 
 
 def _camera(args: argparse.Namespace, window_us: int) -> MeasuredPixels | None:
-    """What the recording of --camera tells of its pixels; None without one."""
+    """Measure a camera's pixels in the recording of --camera; None without this option."""
     from async_tnt.training.simulated_pictures import measure_camera
 
     if args.camera is None:
@@ -268,7 +268,7 @@ def _camera(args: argparse.Namespace, window_us: int) -> MeasuredPixels | None:
 def _other_motions(
     args: argparse.Namespace, data: TrainingData, settings: TrainSettings, run_folder: Path
 ) -> Motions | None:
-    """The windows under other motions, made in the run folder or found there.
+    """The windows under other motions. They are made in the run folder, or read from there.
 
     None with `--motions recorded`.
     """
@@ -280,7 +280,7 @@ def _other_motions(
         return None
     n_epochs = settings.n_epochs(len(data.training))
     motion_settings = MotionSettings(seed=args.seed).for_epochs(n_epochs)
-    # refuses another run before the work
+    # refuses a run folder of another training, before the long work
     load_checkpoint(run_folder, identity_of(data, settings, motions=motion_settings))
     motions = resynthesize(
         data.training,
@@ -298,7 +298,7 @@ def _other_motions(
 
 
 def _note_motions(record: dict[str, Any]) -> None:
-    """Tell how many motions were found, and how well they match the recordings."""
+    """Print in how many windows a motion was found, and how well simulation matches recordings."""
     from async_tnt.resynthesis.calibration import side_by_side, unlike
 
     text = f"motion found in {record['with_path']} of {record['windows']} windows"
@@ -331,17 +331,20 @@ def _note_motions(record: dict[str, Any]) -> None:
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
-    """A function that prints a line after an epoch, but at most one line a second.
+    """A function that prints a line about an epoch, but at most one line a second.
 
-    A training may have hundreds of short epochs.
+    A training may have hundreds of short epochs. The first and the last epoch always have a line.
     """
-    printed_at = -1.0
+    printed_s: float | None = None
 
     def report(row: dict[str, float]) -> None:
-        nonlocal printed_at
-        if row["epoch"] < n_epochs and 0 <= printed_at > time.monotonic() - 1.0:
+        nonlocal printed_s
+        now_s = time.monotonic()
+        is_last = row["epoch"] >= n_epochs
+        is_early = printed_s is not None and printed_s > now_s - 1.0
+        if is_early and not is_last:
             return
-        printed_at = time.monotonic()
+        printed_s = now_s
         text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
         if "f1" in row:
             text += f"  held out: F1 {row['f1']:.4f}"
@@ -356,7 +359,7 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
 
 
 def _note_early_end(n_done: int, n_epochs: int) -> None:
-    """Tell that a training ended before its last epoch, and why."""
+    """If a training ended before its last epoch, print why."""
     from async_tnt.training.early_end import COOLING, PATIENCE
 
     if n_done < n_epochs:
@@ -367,10 +370,10 @@ def _note_early_end(n_done: int, n_epochs: int) -> None:
 
 
 def _write(fitted: Fitted, data: TrainingData, outputs: _Outputs, args: argparse.Namespace) -> None:
-    """Write the model and what belongs to it, test it with --test, and print the results."""
+    """Write the model and its other files, test it with --test, and print the results."""
     from async_tnt.training.run_folder import plot_curves
 
-    # before the test, which may take long; once more with its accuracy
+    # written before the test, which may take long, and once more with the accuracy of the test
     written = _save(fitted, data, outputs)
     if plot_curves(fitted.history, outputs.curves):
         written.append(outputs.curves)
@@ -380,19 +383,19 @@ def _write(fitted: Fitted, data: TrainingData, outputs: _Outputs, args: argparse
         note("evaluating on Test")
         fitted = fitted.tested(data)
         _save(fitted, data, outputs)
-    for line in data.left_out:  # once more: the first time may be hours ago
+    for line in data.left_out:  # printed once more, because the first time may be hours ago
         note(f"left out: {line}")
     print_summary(fitted, args.out, written, as_json=args.json)
 
 
 def _save(fitted: Fitted, data: TrainingData, outputs: _Outputs) -> list[Path]:
-    """Write the model with its record so far, and the numbers beside it. Returns their files."""
+    """Write the model with its record so far, and the numbers beside it. Returns both paths."""
     numbers = {
         **(fitted.scores or {}),
         "held_out": list(data.held_out),
         "summary": fitted.model.record,
         "history": fitted.history,
     }
-    # first: it tells whose the model is
+    # written first: by this file, `_check_outputs` knows later that the model is ours
     write_text(outputs.numbers, json.dumps(numbers, indent=1))
     return [fitted.model.save(outputs.model), outputs.numbers]

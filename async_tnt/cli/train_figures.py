@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
-    """Draw some windows under other motions, if there are any."""
+    """Draw some windows under other motions. Without any, or without matplotlib, draw nothing."""
     if find_spec("matplotlib") is None or not motions.spans.any():
         return
     from async_tnt.training.resynthesis import examples
@@ -27,7 +27,10 @@ def draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
 
 
 def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> None:
-    """Draw some pictures and recordings of them, if there are any and it is not done yet."""
+    """Draw some pictures of the data set, and simulated recordings of them.
+
+    Nothing is drawn without pictures, without matplotlib, or if the file exists already.
+    """
     if "pictures" not in data.record or path.exists() or find_spec("matplotlib") is None:
         return
     from async_tnt.simulation.measured_pixels import MeasuredPixels

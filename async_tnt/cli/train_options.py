@@ -43,7 +43,7 @@ REMOVED = {
     "--light": "in Python, give scenes={'light': 'positive'} to async_tnt.training.dataset_data",
     "--restart": "remove the folder of the run, runs/NAME beside the model",
 }
-"""Option of the version before -> what to do instead."""
+"""Option of the previous version -> what to do instead."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_held_out(group: argparse._ActionsContainer) -> None:
+    """Add the options that say what is held out."""
     group.add_argument(
         "--validation",
         type=_share,
@@ -94,6 +95,7 @@ def _add_held_out(group: argparse._ActionsContainer) -> None:
 
 
 def _add_seen(group: argparse._ActionsContainer) -> None:
+    """Add the options that say what is learned from."""
     add_selection(group)
     group.add_argument(
         "--mirror", action="store_true", help="mirror half of the windows, if that keeps the class"
@@ -108,6 +110,7 @@ def _add_seen(group: argparse._ActionsContainer) -> None:
 
 
 def _add_pictures(group: argparse._ActionsContainer) -> None:
+    """Add the options that say how pictures are recorded."""
     group.add_argument(
         "--size",
         type=_range,
@@ -125,6 +128,7 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
 
 
 def _add_network(group: argparse._ActionsContainer) -> None:
+    """Add the options that choose the volume and the network."""
     group.add_argument(
         "--window-us",
         type=positive_int,
@@ -166,12 +170,13 @@ def _add_network(group: argparse._ActionsContainer) -> None:
 
 
 def _range(text: str) -> tuple[float, float]:
-    """An argparse type: `0.4-0.8` as two numbers, and `0.5` as twice the same."""
+    """Read `0.4-0.8` as two numbers, and `0.5` as that number twice. An argparse type."""
     low, _, high = text.partition("-")
     try:
         least = float(low)
         most = float(high or low)
     except ValueError:
+        # nan does not pass the check below
         least = math.nan
         most = math.nan
     if not 0 < least <= most <= 1:
@@ -182,5 +187,5 @@ def _range(text: str) -> tuple[float, float]:
 
 
 def _share(text: str) -> float:
-    """An argparse type: a number in [0, 1)."""
+    """Read a number in [0, 1). An argparse type."""
     return number(text, lambda value: 0 <= value < 1, "a share in [0, 1)")

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from async_tnt.training.fitting import Fitted
 
 FEW = 20
-"""Held-out recordings of a class below which its windows are reported, too."""
+"""If every class has fewer held-out recordings, the windows of each class are reported, too."""
 TITLES = {
     "validation": "held out",
     "validation_motions": "held out, in other motions",
     "test": "Test",
 }
-"""Part of a model's record -> how it is printed."""
+"""Part of a model's record -> the title under which it is printed."""
 
 
 def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bool) -> None:
@@ -27,10 +27,10 @@ def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bo
 
     Parameters
     ----------
-    fitted : the model and the scores of what was held out.
-    out : its file.
-    written : all files.
-    as_json : print the model's record instead.
+    fitted : the model, and its scores on what was held out.
+    out : the model's file.
+    written : all files that were written.
+    as_json : whether to print the model's record instead, as JSON.
     """
     record = fitted.model.record
     if as_json:
@@ -55,9 +55,12 @@ def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bo
 
 
 def _accuracy(found: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> str:
-    """The accuracy of one part of a record.
+    """The accuracy in one part of a model's record, as text.
 
-    pictures : the record of pictures, whose simulated recordings are in this part.
+    Parameters
+    ----------
+    found : the part of the record.
+    pictures : the record of the pictures, if this part has simulated recordings of pictures.
     """
     if "f1" in found:
         early = [f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items()]
@@ -71,7 +74,7 @@ def _accuracy(found: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> s
 
 
 def _print_few(scores: Mapping[str, Any]) -> None:
-    """Print each class's windows, where few recordings of any class are held out."""
+    """Print how many windows of each class are right, if few recordings of each are held out."""
     n_recordings = [sum(row) for row in scores["confusion"]]
     if max(n_recordings) >= FEW:
         return

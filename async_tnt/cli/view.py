@@ -59,6 +59,7 @@ stops that. Needs rerun-sdk (extra `view`); a camera needs the extra `cameras`.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     add_files(parser, live=True, one=True)
     add_start(parser)
     add_triggers(parser)
@@ -90,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt view`. Returns the exit code."""
     check_keep_up(args)
     check_reading(args)
     path = paths_of(args)[0]
@@ -98,7 +100,7 @@ def main(args: argparse.Namespace) -> int:
         raise ValueError(
             "--speed belongs to recordings; a camera or the network has a pace of its own"
         )
-    # before any work, in case it is missing
+    # imported before any work, in case rerun-sdk is missing
     import_rerun()
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
@@ -171,6 +173,6 @@ def _push_all(packets: Iterable[Any], view: RerunView) -> None:
 
 
 def _milliseconds(text: str) -> int:
-    """An argparse type: milliseconds, as microseconds."""
+    """Read milliseconds, and return them as microseconds. An argparse type."""
     ms = number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9")
     return round(1000 * ms)

@@ -1,8 +1,8 @@
-"""Evaluate thousands of recordings, by several processes or machines, into one result file.
+"""Evaluate thousands of recordings in several processes, and write one result file.
 
-An evaluation that was interrupted can be resumed.
+The processes may be on several machines. An evaluation that was interrupted can be resumed.
 
-`evaluate_recording` makes a record of one recording, a plain dict. `run_all` and `run_on_dask` call
-it for many. `collect` writes the records to the result file, as the only process. `async-tnt
-evaluate` uses them; none of these names is public.
+`evaluate_recording` makes the record of one recording: a plain dict. `run_all` and `run_on_dask`
+call it for many recordings. `collect` takes the records, and alone writes them to the result file.
+`async-tnt evaluate` uses these functions; none of their names is public.
 """

@@ -1,6 +1,6 @@
-"""What is decided early in a window: against time, and at a level of confidence.
+"""How early in a window decisions are right: against time, and for levels of confidence.
 
-Decisions are made at every fiftieth of a window, and at its end.
+A decision is made after every fiftieth of a window, and at its end.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 
 N_MOMENTS = 10
-"""Moments of a window at which the tables say how many decisions are right."""
+"""Number of moments in a window for which a table says how many decisions are right."""
 PER_MOMENT = 5
-"""Decisions from one of these moments to the next."""
+"""Number of decisions from one of these moments to the next."""
 LEVELS = 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99
-"""Probabilities at which a table says when they are first reached."""
+"""Levels of confidence. A table says when a decision first reaches each of these probabilities."""
 FIELDS = ("decided_at", "probability_at", "confident", "confident_us")
-"""The names of what `early_fields` returns. A record has a list of each, one entry a window."""
+"""The keys of what `early_fields` returns. In a record, each is a list with one entry a window."""
 
 NO_DECISION = -1
-"""Stands in a record where there is no decision."""
+"""The value in a record that stands for no decision."""
 
 
 def every_us(config: TNTConfig) -> int | None:
-    """How often to decide, in microseconds.
+    """Microseconds from one decision to the next: a fiftieth of a window.
 
     None for windows of a number of events, which have no duration of their own.
     """
@@ -38,9 +38,9 @@ def every_us(config: TNTConfig) -> int | None:
 
 
 def moments(config: TNTConfig) -> list[int]:
-    """The tenths of a window, in microseconds since its start; the last one is its end.
+    """The ends of the ten tenths of a window, in microseconds since the window's start.
 
-    The list is empty for windows of a number of events.
+    The last one is the window's end. The list is empty for windows of a number of events.
 
     Examples
     --------
@@ -55,13 +55,19 @@ def moments(config: TNTConfig) -> list[int]:
 
 
 def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any]:
-    """What the tables below need of a window's decisions; -1 stands for no decision.
+    """What `early_report` needs to know about the decisions of a window.
+
+    -1 stands for no decision.
+
+    Parameters
+    ----------
+    window : all decisions of the window, in order.
 
     Returns
     -------
-    decided_at, probability_at : class and its probability at each of `moments`.
-    confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches it,
-        and when that was due since the window's start.
+    decided_at, probability_at : for each of `moments`, the decided class and its probability.
+    confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches the
+        level, and when this decision was due, see `due_us`.
     """
     at = [decision_at(window, moment) for moment in moments(config)]
     first = [_first_at(window, level) for level in LEVELS]
@@ -74,7 +80,7 @@ def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any
 
 
 def _first_at(window: Sequence[Decision], level: float) -> Decision | None:
-    """The first decision with at least this probability."""
+    """The first decision with at least this probability; None if there is none."""
     for decision in window:
         if decision.probability >= level:
             return decision
@@ -84,8 +90,8 @@ def _first_at(window: Sequence[Decision], level: float) -> Decision | None:
 def due_us(decision: Decision, config: TNTConfig) -> int:
     """When a decision was due, in microseconds since its window's start.
 
-    It was due at the next fiftieth of the window after its newest event, or at the window's end. In
-    windows of a number of events it was due at its newest event.
+    A decision is due at the first fiftieth of the window after the decision's newest event, or at
+    the window's end. In windows of a number of events, it is due at its newest event.
     """
     since_us = decision.time_us - decision.window_start_us
     step_us = every_us(config)
@@ -97,10 +103,14 @@ def due_us(decision: Decision, config: TNTConfig) -> int:
 
 
 def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
-    """The newest decision that rests on events before a moment alone.
+    """The newest decision that was made of events before a moment alone; None if there is none.
 
-    If a moment has no decision of its own, no events have come since the previous one, whose
-    decision still holds.
+    If no event came since the previous moment, there is no new decision. Then the previous decision
+    still holds.
+
+    Parameters
+    ----------
+    moment_us : the moment, in microseconds since the window's start.
     """
     for decision in reversed(window):
         if decision.time_us - decision.window_start_us < moment_us:
@@ -111,24 +121,29 @@ def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
 def early_report(
     records: Sequence[Mapping[str, Any]], labels: Sequence[int], config: TNTConfig
 ) -> dict[str, Any]:
-    """Tables over all windows of records with the fields of `early_fields`.
+    """Make tables about early decisions, over all windows of all records.
 
-    The lists are empty for windows of a number of events.
+    For windows of a number of events, the tables are empty.
 
     Parameters
     ----------
-    labels : the class of each record.
+    records : records with the fields of `early_fields`.
+    labels : the true class of each record.
 
     Returns
     -------
-    accuracy_against_time : share of windows right, and share decided at all, at each of `moments`.
-    confidence : for each of `LEVELS`, how many windows reach it, how many of these are right, and
-        when: median and 90th percentile, in milliseconds since the window's start. And how many of
-        all windows are right, if those that do not reach the level are decided at their ends.
-    calibration : decisions at all moments together, grouped by their probability: how many, their
-        mean probability, the share right.
-    calibration_error : the mean difference of the last two, weighted by the number of decisions: 0
-        if .9 of the decisions with probability .9 are right, and so on.
+    accuracy_against_time : a row for each of `moments`. `accuracy` is the share of windows that are
+        right then, `decided` the share of windows that have a decision then.
+    confidence : a row for each of `LEVELS`. `decided` is the share of windows that reach the level,
+        `accuracy` the share of these that are right. `median_ms` and `p90_ms` are the median and
+        the 90th percentile of the time from the window's start to the level. `window_accuracy` is
+        the share of all windows that are right, if the windows that do not reach the level are
+        decided at their ends.
+    calibration : the decisions of all moments, in groups of similar probability. A row for each
+        group: the number of decisions, their mean probability, and the share that is right.
+    calibration_error : the mean difference between the probability and the share that is right,
+        weighted by the number of decisions. It is 0 if 0.9 of the decisions with probability 0.9
+        are right, and likewise for all other probabilities.
     """
     after_us = moments(config)
     if not after_us:
@@ -168,22 +183,24 @@ def early_report(
 def _confidence_row(
     level: float, classes: np.ndarray, us: np.ndarray, at_the_end: np.ndarray, truth: np.ndarray
 ) -> dict[str, Any]:
-    """The row of one level of `early_report`.
+    """The row of one level in the table `confidence` of `early_report`.
 
     Parameters
     ----------
-    classes, us : each window's first class at this level, or -1, and when it was due.
-    at_the_end : the class that is decided at each window's end.
-    truth : each window's class.
+    classes, us : for each window, the class of the first decision that reaches the level, or -1,
+        and when this decision was due.
+    at_the_end : for each window, the class that is decided at its end.
+    truth : for each window, the true class.
     """
     reached = classes >= 0
+    decided = np.where(reached, classes, at_the_end)
     row: dict[str, Any] = {
         "level": level,
         "decided": _share(reached),
         "accuracy": None,
         "median_ms": None,
         "p90_ms": None,
-        "window_accuracy": _share(np.where(reached, classes, at_the_end) == truth),
+        "window_accuracy": _share(decided == truth),
     }
     if reached.any():
         after_ms = us[reached] / 1e3
@@ -194,5 +211,5 @@ def _confidence_row(
 
 
 def _share(holds: np.ndarray) -> float:
-    """The share of True."""
+    """The share of values that are True."""
     return float(holds.mean())

@@ -1,6 +1,6 @@
 """A Job says what is done with every recording; a Task is one recording.
 
-Jobs and tasks are plain data and picklable, for processes of other machines.
+Jobs and tasks are plain data. They can be pickled, and so be sent to processes on other machines.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from async_tnt.sources.pixels.pixels import Pixels
 
 @dataclass(frozen=True)
 class Job:
-    """What a record depends on, besides the recording.
+    """Everything that a record depends on, except for the recording.
 
     Parameters
     ----------
-    model : a bundled name, or an absolute path.
+    model : the name of a bundled model, or the absolute path of a model.
     model_sha256 : checksum of the model's content, without its training record; see `sha256_of`.
     version : version of this package.
-    pixels : the pixels whose events the model sees. It holds the mask itself, so that workers need
-        no file of it.
-    reading : how files are read that do not say it themselves; its sensor is that of `pixels`.
+    pixels : the pixels whose events the model sees. It holds the mask itself, so that workers do
+        not need the mask's file.
+    reading : facts about files that do not state them. Its sensor is not used, because `pixels` has
+        the sensor.
     """
 
     model: str
@@ -42,7 +43,7 @@ class Job:
 
     @property
     def id(self) -> str:
-        """12 hexadecimal digits that stand for everything that the records depend on."""
+        """A checksum of everything that the records depend on: 12 hexadecimal digits."""
         reading = {name: value for name, value in asdict(self.reading).items() if value is not None}
         about = {
             "version": self.version,
@@ -60,12 +61,14 @@ class Task:
     Parameters
     ----------
     recording : the recording's name in the results.
-    path : its absolute path, because workers may have another working folder.
-    job : what is done with it.
+    path : absolute path of the recording's file. A relative path would depend on the working folder
+        of the worker.
+    job : what is done with the recording.
     bytes, modified_ns : the file's size, and the time of its last change; None if the file cannot
         be accessed.
-    label : its class; None if that is not known.
-    between_us : start and end of the part of the file that is the recording; None for all of it.
+    label : the recording's class; None if it is not known.
+    between_us : start and end of the part of the file that is the recording; None if the whole file
+        is the recording.
     """
 
     recording: str
@@ -80,7 +83,7 @@ class Task:
 def job_of(
     name_or_path: str, model: Model, pixels: Pixels, reading: ReadOptions | None = None
 ) -> Job:
-    """The job of a model that `load_model` has loaded under this name."""
+    """The job for a model that `load_model` has loaded by this name or path."""
     is_bundled = name_or_path in bundled_models()
     where = name_or_path if is_bundled else os.path.abspath(user_path(name_or_path))
     return Job(where, sha256_of(model), pixels=pixels, reading=reading or ReadOptions())
@@ -93,13 +96,13 @@ def task_of(
     label: str | None = None,
     between_us: tuple[int, int] | None = None,
 ) -> Task:
-    """The task of a file, or a part of it, with its current size and time."""
+    """The task for a file, or for a part of it, with the file's current size and time."""
     # file names need not be valid text
     name = recording.encode("utf-8", "backslashreplace").decode()
     absolute = Path(os.path.abspath(path))
     try:
         status = path.stat()
-    except OSError:  # opening it will raise the same error
+    except OSError:  # the same error will be raised when the file is opened
         return Task(name, absolute, job, None, None, label, between_us)
     return Task(name, absolute, job, status.st_size, status.st_mtime_ns, label, between_us)
 

@@ -1,7 +1,7 @@
 """How well a map model finds objects.
 
-This is told by two shares: how many of the objects that are there it finds, and how many of the
-objects that it finds are there.
+Two shares say it. Recall: of the objects that are really there, the share that the model finds.
+Precision: of the objects that the model finds, the share that is really there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from async_tnt.streaming.processor import Processor
 from async_tnt.volume.events import EVENT_DTYPE
 
 SHARES = 0.3, 0.5, 1.0
-"""Shares of a window after which objects are looked for."""
+"""Shares of a window. The objects that are found after each of them are scored."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class ObjectScores:
 
     Parameters
     ----------
-    there : int64, (K,): objects that are there.
-    found : int64, (K,): objects that the model has found.
-    right : int64, (K,): objects that it has found rightly, see `score_objects`.
+    there : int64, (K,): number of objects that are there, by the table.
+    found : int64, (K,): number of objects that the model finds.
+    right : int64, (K,): number of found objects that match one that is there, see `score_objects`.
     """
 
     there: np.ndarray
@@ -46,22 +46,24 @@ class ObjectScores:
 
     @property
     def f1(self) -> float:
-        """2 right / (there + found)"""
+        """The F1 score over all classes: 2 right / (there + found)."""
         return _f1(self.there.sum(), self.found.sum(), self.right.sum())
 
     def to_dict(self, classes: Sequence[str]) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """The scores as plain values for JSON, over all classes and for each class."""
         there = int(self.there.sum())
         found = int(self.found.sum())
         right = int(self.right.sum())
         per_class = {}
         for k, name in enumerate(classes):
-            row = int(self.there[k]), int(self.found[k]), int(self.right[k])
+            there_k = int(self.there[k])
+            found_k = int(self.found[k])
+            right_k = int(self.right[k])
             per_class[name] = {
-                "f1": round(_f1(*row), 5),
-                "objects": row[0],
-                "found": row[1],
-                "right": row[2],
+                "f1": round(_f1(there_k, found_k, right_k), 5),
+                "objects": there_k,
+                "found": found_k,
+                "right": right_k,
             }
         return {
             "f1": round(self.f1, 5),
@@ -74,6 +76,7 @@ class ObjectScores:
 
 
 def _f1(there: int, found: int, right: int) -> float:
+    """The F1 score of three counts; 0 if there are no objects at all."""
     return float(2 * right / max(1, there + found))
 
 
@@ -84,20 +87,22 @@ def score_objects(
     reach: np.ndarray | float,
     n_classes: int,
 ) -> ObjectScores:
-    """Match the objects that were found with those that are there.
+    """Match the objects that a model found with the objects that are there, and count them.
 
-    Found objects are matched one after the other, the likeliest first. Each takes the nearest
-    object of its class that is near enough and not taken yet. It is right if there is one. A place
-    (x, y) is near enough to an object with middle (u, v) and reach (a, b) if
-    ((x - u) / a)^2 + ((y - v) / b)^2 <= 1.
+    Found objects are matched one after the other, the likeliest first. A found object takes the
+    nearest object of its class that is near enough and not taken yet. If there is such an object,
+    the found object is right. A found object at (x, y) is near enough to an object with middle
+    (u, v) and reach (a, b) if ((x - u) / a)^2 + ((y - v) / b)^2 <= 1.
 
     Parameters
     ----------
-    found : float64, (M, FOUND_SIZE), the likeliest first, see `kernels.decisions.objects`.
-    labels : int64, (N,): the classes of what is there.
-    middles : float64, (N, 2): (x, y) of what is there, in sensor pixels.
-    reach : float64, (N, 2), in pixels; or one number for all.
-    n_classes : how many classes there are, K.
+    found : float64, (M, FOUND_SIZE): the found objects, the likeliest first. The columns are those
+        of `kernels.decisions.objects`.
+    labels : int64, (N,): the class of each object that is there.
+    middles : float64, (N, 2): the middle (x, y) of each object that is there, in sensor pixels.
+    reach : float64, (N, 2): the reach (a, b) of each object that is there, in pixels; or one number
+        for all objects.
+    n_classes : number of classes, K.
 
     Examples
     --------
@@ -110,8 +115,10 @@ def score_objects(
     """
     free = np.ones(len(labels), bool)
     for row in found:
-        distance = np.hypot(*((middles - row[[X, Y]]) / reach).T)
-        distance[~free | (labels != row[CLASS])] = np.inf
+        offset = (middles - row[[X, Y]]) / reach  # (N, 2)
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        can_be_taken = free & (labels == row[CLASS])
+        distance[~can_be_taken] = np.inf
         if len(distance) and distance.min() <= 1:
             free[distance.argmin()] = False
     return ObjectScores(
@@ -122,7 +129,7 @@ def score_objects(
 
 
 def _counts(classes: np.ndarray, n_classes: int) -> np.ndarray:
-    """How often each class occurs, int64, (K,)."""
+    """The number of times that each class occurs: int64, (K,)."""
     return np.bincount(classes.astype(np.int64), minlength=n_classes)
 
 
@@ -131,12 +138,16 @@ def score_recording(
 ) -> dict[float, ObjectScores]:
     """Score the objects that a model finds in a recording, after each of `SHARES` of a window.
 
-    A window ends at each moment of the table. The scores depend neither on the order of the events
-    nor on packets, for which the recording is read twice.
+    A window ends at each moment of the table. The recording is read twice, so that the scores do
+    not depend on the order of the events or on packets.
 
     Parameters
     ----------
     model : a map model, for the recording's sensor.
+
+    Returns
+    -------
+    For each of `SHARES`, the scores over all moments of the table.
 
     Raises
     ------
@@ -154,8 +165,9 @@ def score_recording(
     for rows, events in zip(rows_of, _windows(recording, times_us, window_us), strict=True):
         processor.reset()
         n_events += len(events)
-        parts = np.split(events, np.searchsorted(events["t"], np.multiply(SHARES, window_us)))
-        for share, part in zip(SHARES, parts[:-1], strict=True):
+        stops = np.searchsorted(events["t"], np.multiply(SHARES, window_us))
+        parts = np.split(events, stops)[:-1]  # the last part is empty
+        for share, part in zip(SHARES, parts, strict=True):
             processor.push(part)
             scores[share] += score_objects(
                 _found_by(processor),
@@ -175,7 +187,7 @@ def score_recording(
 
 
 def _found_by(processor: Processor) -> np.ndarray:
-    """The objects that are found in the open window: float64, (M, FOUND_SIZE)."""
+    """The objects that a Processor finds in its open window: float64, (M, FOUND_SIZE)."""
     objects = processor.fire().objects or ()
     rows = [(o.x, o.y, o.probability, o.index, o.id) for o in objects]
     return np.array(rows, float).reshape(-1, 5)
@@ -184,16 +196,18 @@ def _found_by(processor: Processor) -> np.ndarray:
 def _windows(
     packets: Iterable[np.ndarray], ends_us: Sequence[int], window_us: int
 ) -> Iterator[np.ndarray]:
-    """The events of each window that ends at one of these times: sorted, times since its start.
+    """Yield the events of each window that ends at one of these times.
 
-    They depend neither on the order of the events nor on packets. In memory are only the events of
-    the windows that packets still to come may reach.
+    The events are sorted by time, and their times count from the window's start. The result does
+    not depend on the order of the recording's events or on packets. Memory holds only packets with
+    events that this window or a later one needs.
 
     Parameters
     ----------
     packets : a recording's events; iterated twice.
-    ends_us : when the windows end, in order.
+    ends_us : the ends of the windows, in increasing order.
     """
+    # how many packets must be read for each window, and for the windows before it
     n_needed = np.maximum.accumulate(_packets_needed(packets, np.array(ends_us), window_us))
     stream = iter(packets)
     n_read = 0
@@ -216,7 +230,7 @@ def _windows(
 def _packets_needed(
     packets: Iterable[np.ndarray], ends_us: np.ndarray, window_us: int
 ) -> np.ndarray:
-    """How many packets must be read to have all events of the window before each of these times."""
+    """For each end of a window, how many packets must be read to have all events of the window."""
     n_needed = np.zeros(len(ends_us), np.int64)
     for n, packet in enumerate(packets, 1):
         if not len(packet):
@@ -224,7 +238,10 @@ def _packets_needed(
         t_us = np.sort(packet["t"])
         first = np.searchsorted(ends_us, t_us[0], side="right")
         stop = np.searchsorted(ends_us, t_us[-1] + window_us, side="right")
+        # these windows end after the packet's first event, and do not start after its last one
         near_us = ends_us[first:stop]
-        has_some = np.searchsorted(t_us, near_us - window_us) < np.searchsorted(t_us, near_us)
-        n_needed[first:stop][has_some] = n
+        n_before_start = np.searchsorted(t_us, near_us - window_us)
+        n_before_end = np.searchsorted(t_us, near_us)
+        has_events = n_before_start < n_before_end
+        n_needed[first:stop][has_events] = n
     return n_needed

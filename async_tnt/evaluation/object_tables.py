@@ -1,10 +1,10 @@
-"""Recordings with a table of the objects that they show.
+"""Tables of the objects that recordings show. A table is a file beside the recording NAME.*.
 
-NAME_objects.csv  A row for each object at a moment: t, in microseconds, class, and x, y, its
-                  middle; or x, y, w, h, a box whose upper left corner is (x, y).
-NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id. They belong to NAME.* or
-                  NAME_td.*. The classes have the names of `label_map_dictionary.json` beside it.
-                  Without that file they are the model's, in order.
+NAME_objects.csv  A row for each object at a moment. The columns are t, in microseconds, class, and
+                  x, y, the object's middle. Or x, y, w, h: a box with the upper left corner (x, y).
+NAME_bbox.npy     Prophesee's boxes, with the fields t (or ts), x, y, w, h, class_id. The file may
+                  also belong to a recording NAME_td.*. The file `label_map_dictionary.json` beside
+                  it names the classes. Without that file, class_id k is the model's class k.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from async_tnt.sources.files.labelled_recordings import check_once, is_recording
 from async_tnt.sources.files.numpy_files import map_npy
 
 CSV = "_objects.csv"
-"""What the name of a table of comma-separated values ends with."""
+"""The end of the name of a table of comma-separated values."""
 BOXES = "_bbox.npy"
-"""What the name of a file of Prophesee's boxes ends with."""
+"""The end of the name of a file of Prophesee's boxes."""
 OF_BOXES = "_td"
-"""What the stem of a recording ends with that Prophesee's boxes belong to."""
+"""The end of a recording's stem that is not in the name of its boxes: a_td.dat has a_bbox.npy."""
 NAMES_FILE = "label_map_dictionary.json"
-"""The file beside Prophesee's boxes with the names of their classes."""
+"""The file that names the classes of Prophesee's boxes. It lies beside them."""
 WITHIN_PX = 5.0
-"""A point is found by an object within so many pixels. A box is found by an object within the
-ellipse that touches its sides."""
+"""The reach, in pixels, of an object that the table gives as a point. The reach of a box is the
+ellipse that touches the box's sides."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class ObjectTable:
 
     Parameters
     ----------
-    t : int64, (N,), in microseconds, in order.
-    label : int64, (N,): a class of the model.
+    t : int64, (N,): times in microseconds, in increasing order.
+    label : int64, (N,): the object's class, as an index of the model's classes.
     middle : float64, (N, 2): (x, y) of the object's middle, in sensor pixels.
-    reach : float64, (N, 2): how far from it, in x and in y, an object may be found.
+    reach : float64, (N, 2): how far from the middle, in x and in y, the object counts as found.
     unknown : class that the model does not know -> number of its rows, which are left out.
     """
 
@@ -58,18 +58,20 @@ class ObjectTable:
     unknown: Mapping[str, int]
 
     def moments(self) -> Iterator[tuple[int, slice]]:
-        """Each time that has objects, and their rows."""
+        """Yield each time at which there are objects, and the rows of these objects."""
         times, first = np.unique(self.t, return_index=True)
         for t, begin, end in zip(times.tolist(), first, [*first[1:], len(self.t)], strict=True):
             yield t, slice(begin, end)
 
 
 def find_tables(folder: Path) -> list[tuple[Path, Path]]:
-    """The recordings of a folder, or of its folder `Test`, and the table beside each.
+    """The recordings of a folder that have a table, each with the table: (recording, table).
+
+    If the folder has a folder `Test`, the recordings are looked for in there.
 
     Raises
     ------
-    ValueError : the folder has no recording with a table.
+    ValueError : the folder has no recording with a table, or two recordings share a table.
     OSError : the folder does not exist.
     """
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
@@ -102,7 +104,8 @@ class _Rows:
     ----------
     names : object, (N,): names of classes.
     t : int64, (N,), in microseconds.
-    corner, size : float64, (N, 2): upper left corner, width and height; a point has size 0.
+    corner : float64, (N, 2): the upper left corner (x, y) of a box, or the point.
+    size : float64, (N, 2): the (width, height) of a box, or (0, 0) for a point.
     """
 
     names: np.ndarray
@@ -137,12 +140,14 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     corner = rows.corner[kept]
     size = rows.size[kept]
     is_point = (size == 0).all(1, keepdims=True)
+    # a box reaches half a pixel at least
     reach = np.where(is_point, WITHIN_PX, np.maximum(size / 2, 0.5))
     counts = {str(name): int(n) for name, n in zip(unknown, n_unknown, strict=True)}
     return ObjectTable(rows.t[kept], label[kept], corner + size / 2, reach, counts)
 
 
 def _read_csv(path: Path) -> _Rows:
+    """Read the rows of a table of comma-separated values."""
     refuse_git_lfs(path)
     try:
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
@@ -154,9 +159,12 @@ def _read_csv(path: Path) -> _Rows:
             f"{path}: not a table of comma-separated values: {one_line(error)}"
         ) from None
 
-    # any spelling of a box's sides: a table of boxes is never read as one of points
-    of_boxes = {"w", "h", "width", "height"}.intersection(name.strip().lower() for name in columns)
-    needed = ["t", "class", "x", "y"] + (["w", "h"] if of_boxes else [])
+    # A column for a box's side, in any spelling, means that w and h are needed: a table of boxes
+    # must not be read as a table of points.
+    words = {name.strip().lower() for name in columns}
+    needed = ["t", "class", "x", "y"]
+    if words & {"w", "h", "width", "height"}:
+        needed += ["w", "h"]
     missing = [name for name in needed if name not in columns]
     if missing:
         raise ValueError(
@@ -174,9 +182,12 @@ def _read_csv(path: Path) -> _Rows:
 
 
 def _converted(path: Path, name: str, column: list[Any]) -> list[Any]:
-    """Make the values of a table's column from their texts.
+    """Convert a column of a table from texts to values.
 
-    A missing value has the text None.
+    Parameters
+    ----------
+    name : name of the column, which decides the type of its values.
+    column : the text in each row; None in a row that is too short.
     """
     convert = CSV_TYPES[name]
     values = []
@@ -207,10 +218,11 @@ def _class_name(text: str | None) -> str:
 CSV_TYPES: Mapping[str, Callable[[Any], Any]] = MappingProxyType(
     {"t": _microseconds, "class": _class_name, "x": float, "y": float, "w": float, "h": float}
 )
-"""Column of a table -> the function that makes a value of its text."""
+"""Column of a table -> the function that makes a value of a text."""
 
 
 def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
+    """Read the rows of a file of Prophesee's boxes."""
     boxes = map_npy(path)
     try:
         has_t = "t" in (boxes.dtype.names or ())
@@ -232,9 +244,9 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
 
 
 def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
-    """The names of classes by their numbers, which are text.
+    """Number of a class, as text -> name of the class.
 
-    They are read from the file `path`. Without that file they are the model's classes in order.
+    The names are read from the file `path`. Without this file, number k is the model's class k.
     """
     if not path.is_file():
         return {str(k): name for k, name in enumerate(classes)}
@@ -252,13 +264,13 @@ def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
 def _whole(column: np.ndarray) -> np.ndarray:
     """A column of whole numbers as int64.
 
-    A ValueError for other numbers, which a conversion would change silently.
+    Other numbers are a ValueError, because the conversion would change them silently.
     """
     if column.ndim != 1 or column.dtype.kind not in "iuf":
         raise ValueError(
             f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}"
         )
-    with np.errstate(invalid="ignore"):  # values that are not finite, which are refused below
+    with np.errstate(invalid="ignore"):  # no warning about nan and inf: they are refused below
         whole = column.astype(np.int64)
     fits = whole == column
     if not fits.all():

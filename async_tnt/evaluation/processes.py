@@ -19,11 +19,11 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 CONNECT_S = 10.0
-"""Seconds that Dask's scheduler has to answer."""
+"""Seconds within which Dask's scheduler must answer."""
 WORKERS_S = 15.0
-"""Seconds within which its first worker must appear."""
+"""Seconds within which the scheduler's first worker must appear."""
 IN_FLIGHT = 1000
-"""Tasks that the cluster has at a time; their results wait there, too."""
+"""Number of tasks that the cluster has at a time. Tasks whose results wait there count, too."""
 
 
 def run_all(
@@ -34,8 +34,8 @@ def run_all(
 ) -> Generator[Result]:
     """Yield `function(task)` of each task as soon as it is done.
 
-    An error of a task is raised. An error, Ctrl-C and closing the generator end all workers in the
-    middle of their tasks.
+    If a task raises an error, the generator raises it. An error, Ctrl-C, and closing the generator
+    end all workers, even in the middle of their tasks.
 
     Parameters
     ----------
@@ -68,6 +68,7 @@ def run_all(
                     if lost is None:
                         raise
                     result = lost(task)
+                # a worker that has ended leaves the team; above, a new one takes its place
                 if waiting and worker.is_running:
                     submit(worker)
                 else:
@@ -165,7 +166,7 @@ def _result(future: Any, address: str) -> Any:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    """A client of the cluster, which is closed behind the block."""
+    """Yield a client of the cluster. It is closed after the block."""
     with needs_extra("cluster", "a cluster needs Dask"):
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
@@ -173,7 +174,8 @@ def _connected(address: str) -> Iterator[Any]:
     logging.disable()
     try:
         try:
-            # first: a client that cannot read it says so once more when Python ends
+            # Checks the address first. A client that cannot read the address would complain a
+            # second time when Python ends.
             get_address_host_port(address)
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
         # The type of the error depends on what is wrong with the address.

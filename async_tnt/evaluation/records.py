@@ -46,9 +46,9 @@ last four have values."""
 def evaluate_recording(task: Task) -> Record:
     """Stream one labelled recording, and make a record of its decisions.
 
-    The record says what is decided in each window, early and at its end, and the recording's class:
-    that of the highest mean probability over its windows. Whatever is wrong with the file becomes
-    the record's `error`.
+    The record has what is decided in each window, early and at the window's end. It also has the
+    decided class of the recording: the class with the highest mean probability over all windows. If
+    the file cannot be read, the record has an `error` instead.
 
     Raises
     ------
@@ -73,8 +73,8 @@ def evaluate_recording(task: Task) -> Record:
             window.append(decision)
             if decision.trigger not in ("window", "end"):
                 continue
-            # the window is over; only what the record needs of it is kept: a long recording has
-            # many windows
+            # The window is over. A long recording has many windows, so only what the record needs
+            # of a window is kept.
             fields["window_start_us"].append(decision.window_start_us)
             fields["window_probabilities"].append(decision.probabilities.tolist())
             for name, value in early_fields(window, processor.config).items():
@@ -104,11 +104,11 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
 
     Parameters
     ----------
-    record : a record without an error, with the names of `FIELDS` and any values.
+    record : a record without an error. Its keys are `FIELDS`; its values may be anything.
 
     Raises
     ------
-    ValueError : which field, what it must be, and what it is.
+    ValueError : a field has a wrong value. The error names the field, the rule and the value.
     """
     n_classes = len(classes)
     n_moments = len(moments(config))
@@ -128,7 +128,7 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
     _check_numbers("probabilities", record["probabilities"], (n_classes,), float, (0, 1))
     _check_numbers("window_start_us", rows, (n_windows,), int, (0, MAX_TIME_US))
 
-    # The fields that have a row for each window: the row's length, and its numbers' type and limits
+    # field with a row for each window -> the row's length, the type and the limits of its numbers
     tables: dict[str, tuple[int, type, tuple[int, int]]] = {
         "window_probabilities": (n_classes, float, (0, 1)),
         "decided_at": (n_moments, int, (-1, n_classes - 1)),
@@ -148,17 +148,17 @@ def _check_numbers(
     Parameters
     ----------
     name : the field's name, for the error.
-    shape : length of the outer list, and of each list in it.
+    shape : length of the outer list, then of each list in it.
     kind : int or float; whole numbers pass for float.
     limits : the least and the greatest number that is allowed.
     """
     flat = [values]
     for n in shape:
-        if not all(type(some) is list and len(some) == n for some in flat):
+        if not all(type(inner) is list and len(inner) == n for inner in flat):
             raise ValueError(
                 f"`{name}` must hold {' x '.join(map(str, shape))} numbers, got {short(values)}"
             )
-        flat = [value for some in flat for value in some]
+        flat = [value for inner in flat for value in inner]
     low, high = limits
     allowed = (int, float) if kind is float else (int,)
     for value in flat:
@@ -175,7 +175,7 @@ def failed(task: Task, error: str) -> Record:
 
 
 def lost(task: Task) -> Record:
-    """The record of a recording that ended its worker."""
+    """The record of a recording whose worker ended without an answer."""
     return failed(
         task,
         f"{task.recording}: its worker ended: killed, out of memory, or crashed by the recording",
@@ -183,26 +183,27 @@ def lost(task: Task) -> Record:
 
 
 def _record(task: Task, fields: Record, error: str | None) -> Record:
+    """A record with all of `FIELDS`. Fields that are not given are None."""
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.job.id}
     record = dict.fromkeys(FIELDS) | {"recording": task.recording, "class": task.label}
     return record | fields | {"error": error} | about_file
 
 
 _kept = threading.local()
-"""What a thread keeps from one recording to the next, as `of_job`. A Processor has one stream, and
-a worker of a cluster may have several threads."""
+"""Its attribute `of_job` is what `processor_of` keeps from one recording to the next. Each thread
+has its own: a Processor has one stream, and a worker of a cluster may have several threads."""
 
 
 def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
-    """The Processor of a job, reset, and its selector of pixels.
+    """The Processor of a job, and the selector of its pixels.
 
-    A thread uses the same ones for all recordings of a job. The processor decides as often as
-    `early.every_us` says. The selector is not reset: its counts go on.
+    A thread uses the same two objects for all recordings of a job. The Processor is reset here, and
+    decides as often as `early.every_us` says. The selector is not reset, so its counts go on.
 
     Raises
     ------
-    ValueError : the model or this package are not those that the job was made for, or its pixels do
-        not fit the model.
+    ValueError : the job was made for another model or another version of this package; or its
+        pixels do not fit the model.
     """
     kept: tuple[Job, Processor, ModelPixels] | None = getattr(_kept, "of_job", None)
     if kept is None or kept[0] != job:
@@ -233,12 +234,12 @@ def _made_for(job: Job) -> tuple[Processor, ModelPixels]:
 def _decisions(
     packets: Iterable[Any], processor: Processor, pixels: ModelPixels
 ) -> Iterator[Decision]:
-    """All decisions of one recording's packets, as they are made.
+    """Yield the decisions about the packets of one recording, as soon as they are made.
 
     Raises
     ------
     ValueError, TypeError, OSError : the recording is damaged, is of another sensor, or has no
-        events. Damage behind the part of the file that is read is not seen.
+        events. Damage after the part of the file that is read stays unnoticed.
     """
     for packet in packets:
         yield from processor.push(packet)
@@ -248,7 +249,7 @@ def _decisions(
 
 
 def _error_line(error: Exception, task: Task) -> str:
-    """The error in one line, which names the recording as the results do."""
+    """The error in one line, with the recording's name in the results."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{task.recording}: {error.strerror}"
     text = " ".join(str(error).split()) or type(error).__name__

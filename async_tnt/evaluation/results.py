@@ -1,10 +1,10 @@
 """Collect the records of many recordings in a result file.
 
-It has a line of JSON for each recording, in order of their names.
+A result file has a line of JSON for each recording, in order of the recordings' names.
 
-Until it is complete, the file is its own journal. One process holds a lock on it, and appends
-records in the order in which they are done. A killed process leaves at most half a line, which the
-next process cuts off. When all recordings are done, their sorted lines replace the file.
+Until all recordings are done, the lines are in another order: one process holds a lock on the file,
+and appends each record as soon as it is made. If the process is killed, at most the last line is
+incomplete, and the next process cuts it off. At the end, the sorted lines replace the file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SUFFIXES = (".jsonl",)
 START = b'{"recording": '
 """The first bytes of each line."""
 Run = Callable[..., Generator[Record]]
-"""`run_all` or `run_on_dask`, with all arguments given but the function, the tasks, and `lost`."""
+"""`run_all` or `run_on_dask`, which still needs the function, the tasks and `lost` as arguments."""
 
 
 def collect(
@@ -39,30 +39,28 @@ def collect(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[str], object] = lambda line: None,
 ) -> list[Record]:
-    """Run the tasks that have no record yet, write the result file, and return all its records.
+    """Run the tasks that have no record yet, and write the result file.
 
-    The records are in order of the recordings' names.
-
-    A recording is done again if its record has an error, or if its size, time of change or class
-    differs.
+    Returns the records of all tasks, in order of the recordings' names. A recording is done again
+    if its record has an error, or if its file's size, time of change or class differs.
 
     Parameters
     ----------
     function : makes a task's record, such as `evaluate_recording`.
-    tasks : at least one task. All belong to one job, and each has another recording.
+    tasks : at least one task. All have the same job and different recordings.
     run : runs the function over the tasks.
     out : the result file.
-    check : raises a ValueError for a record without an error that cannot be one of these tasks,
-        such as `check_record`.
+    check : raises a ValueError for a record of an earlier run that these tasks cannot have, such as
+        `check_record`. Records with an error are not checked.
     progress : makes the progress bar, which counts recordings.
-    report : called with a line on what is kept of an earlier run, and what is left out.
+    report : called with lines of text: which records of an earlier run are kept or left out.
 
     Raises
     ------
-    ValueError : this program has not written the file, or with other settings; it is damaged; or it
-        holds only other recordings.
-    OSError : another program is writing it, or it cannot be written.
-    KeyboardInterrupt : it says how many recordings are done.
+    ValueError : this program has not written the file, or has written it with other settings; the
+        file is damaged; or it holds only other recordings.
+    OSError : another program is writing the file, or the file cannot be written.
+    KeyboardInterrupt : Ctrl-C. The error says how many recordings are done.
     """
     out = check_writable(out)
     wanted = {task.recording: task for task in tasks}
@@ -99,9 +97,9 @@ def collect(
 def _good_records(
     file: ResultFile, out: Path, check: Callable[[Record], object]
 ) -> dict[str, Record]:
-    """The records in a file without those of errors, by the name of their recordings.
+    """Name of a recording -> its record in the file. Records with an error are left out.
 
-    A ValueError for a record that `check` refuses.
+    A record that `check` refuses is a ValueError.
     """
     good = {name: record for name, record in file.records.items() if record["error"] is None}
     for name, record in good.items():
@@ -116,7 +114,7 @@ def _good_records(
 
 
 def _is_done(task: Task, good: Mapping[str, Record]) -> bool:
-    """Whether there is a record of this recording as it is now."""
+    """Whether there is a record of this recording, and the recording has not changed since."""
     record = good.get(task.recording)
     if record is None:
         return False
@@ -129,18 +127,18 @@ class ResultFile:
 
     Parameters
     ----------
-    out : the file, no link.
+    out : path of the file. It must not be a link.
     job : the job that its records belong to.
 
     Attributes
     ----------
-    records : recording -> its newest record.
+    records : name of a recording -> its newest record.
 
     Raises
     ------
-    ValueError : the file there was not written by this program, or with other settings; or it is
-        damaged.
-    OSError : another program is writing it, or it cannot be written.
+    ValueError : this program has not written the existing file, or has written it with other
+        settings; or the file is damaged.
+    OSError : another program is writing the file, or the file cannot be written.
     """
 
     def __init__(self, out: Path, job: Job) -> None:
@@ -148,7 +146,7 @@ class ResultFile:
         self._out = out
         self._job = job
         self._is_new = not out.exists()
-        # the recordings of all lines, in the file's order
+        # the recording's name in each line, in the order of the lines
         self._names: list[str] = []
         self._file = open_locked(
             out, f"{out}: another program is writing it; wait for that one, or name another file"
@@ -160,16 +158,19 @@ class ResultFile:
             raise
 
     def append(self, record: Record) -> None:
-        """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
+        """Write a record. It replaces an earlier record of its recording.
+
+        The record is kept even if the process is killed afterwards.
+        """
         with naming(self._out):
             self._file.write(_line(record))
             self._file.flush()
         self._add(record)
 
     def finish(self, names: Collection[str]) -> None:
-        """Let the file hold the records of these recordings and no others, in order.
+        """Replace the file by the records of these recordings alone, in order of their names.
 
-        It is not written if it holds them already.
+        If the file has just these lines already, it stays as it is.
         """
         if self._names == sorted(names):
             return
@@ -180,7 +181,7 @@ class ResultFile:
                 self._file.close()
 
     def close(self) -> None:
-        """Unlock the file. One that was made here and has no record is removed."""
+        """Unlock the file. If it was created here and has no record, remove it."""
         if self._file.closed:
             return
         with naming(self._out), contextlib.closing(self._file):
@@ -198,24 +199,26 @@ class ResultFile:
         self._file.seek(0)
         for line in iter(self._file.readline, b""):
             if not line.endswith(b"\n"):
-                # half a line, which a killed process has left
+                # a killed process has left this incomplete line: cut it off
                 self._file.truncate(self._file.tell() - len(line))
                 return
             self._add(_record_of(line, self._job, self._out))
 
     def _add(self, record: Record) -> None:
+        """Note a record that is in the file now."""
         self._names.append(record["recording"])
         self.records[record["recording"]] = record
 
 
 def _line(record: Record) -> bytes:
+    """A record as a line of the file."""
     return json.dumps(record).encode() + b"\n"
 
 
 def _record_of(line: bytes, job: Job, out: Path) -> Record:
     """Read the record in a line of the file `out`.
 
-    A ValueError if the record does not belong to this job.
+    A ValueError if the line is damaged, or the record does not belong to this job.
     """
     try:
         record = parse_json(line)

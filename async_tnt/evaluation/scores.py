@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 N_BINS = 10
-"""Equal parts of the probability from 0 to 1, for the calibration."""
+"""Number of groups for the calibration: equal parts of the probabilities from 0 to 1."""
 
 
 def scores_of(
     classes: Sequence[str], confusion: np.ndarray, window_confusion: np.ndarray
 ) -> dict[str, Any]:
-    """What is read from confusion matrices, as plain values for JSON.
+    """Scores from two confusion matrices, as plain values for JSON.
 
     Parameters
     ----------
@@ -22,15 +22,16 @@ def scores_of(
     confusion : int64, shape (K, K): the number of recordings by true class (row) and decided class
         (column). A recording's decided class is the one of the highest mean probability over its
         windows.
-    window_confusion : the same of windows, each by itself.
+    window_confusion : the same for windows: each window is decided by itself.
 
     Returns
     -------
     accuracy, window_accuracy : shares of recordings, and of windows, decided right.
-    per_class : class name -> share of its recordings decided right; None where it has none.
-    balanced_accuracy : mean of `per_class`: a model that always answers the most frequent class
-        scores low.
-    recordings, windows : how many. The arguments are returned, too.
+    per_class : class name -> share of its recordings decided right; None without recordings.
+    balanced_accuracy : mean of `per_class`. It is low for a model that always answers the most
+        frequent class.
+    recordings, windows : the number of recordings, and of windows.
+    classes, confusion, window_confusion : the arguments.
     """
     per_class: dict[str, float | None] = {}
     for k, (name, row) in enumerate(zip(classes, confusion, strict=True)):
@@ -52,14 +53,14 @@ def scores_of(
 def score_recordings(
     classes: Sequence[str], labels: Sequence[int] | np.ndarray, probabilities: Sequence[np.ndarray]
 ) -> dict[str, Any]:
-    """Compare decisions with the truth, see `scores_of`.
+    """Compare decisions with the true classes. Returns the scores of `scores_of`.
 
     Parameters
     ----------
     classes : K names.
-    labels : the class of each of R recordings, in [0, K); R at least 1.
-    probabilities : for each recording an array of shape (n, K), a row for each of its windows; n at
-        least 1.
+    labels : the true class of each of R recordings, in [0, K). R is at least 1.
+    probabilities : for each recording an array of shape (n, K), with a row for each of its windows.
+        n is at least 1.
 
     Examples
     --------
@@ -77,19 +78,22 @@ def score_recordings(
 
 
 def share_right(confusion: np.ndarray) -> float:
-    """The diagonal's share of a confusion matrix."""
+    """The share of decisions in a confusion matrix that are right: on the diagonal."""
     return float(np.trace(confusion) / confusion.sum())
 
 
 def calibration_of(
     probability: np.ndarray, right: np.ndarray
 ) -> tuple[list[dict[str, Any]], float]:
-    """Decisions in `N_BINS` of probability, without empty ones, and the expected calibration error.
+    """Group decisions by their probability, in `N_BINS` groups.
+
+    Returns a row for each group that is not empty, and the expected calibration error: the mean of
+    |probability - accuracy| over the rows, weighted by their numbers of decisions.
 
     Parameters
     ----------
     probability : float64, shape (N,): each decision's probability of the decided class.
-    right : bool, shape (N,): whether it is the true class.
+    right : bool, shape (N,): whether the decided class is the true class.
 
     References
     ----------

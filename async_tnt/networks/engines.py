@@ -1,4 +1,4 @@
-"""What runs a model's networks: the compiled ones or, for an .onnx file, onnxruntime."""
+"""The engine that runs a model's networks: compiled code or, for an .onnx file, onnxruntime."""
 
 from __future__ import annotations
 
@@ -19,7 +19,15 @@ from async_tnt.volume.config import TNTConfig
 
 @dataclass(frozen=True)
 class Engine:
-    """A model as a `Processor` takes it. Without `classifier`, a Model runs its own networks."""
+    """A model and the classifier that runs it, as a `Processor` takes them.
+
+    Parameters
+    ----------
+    model : a Model, whose networks are compiled; or, where there is a `classifier`, the
+        configuration of the volumes that the classifier reads.
+    classes : the class names.
+    classifier : the classifier of an .onnx file, run by onnxruntime; None for a Model.
+    """
 
     model: Model | TNTConfig
     classes: Sequence[str]
@@ -29,17 +37,19 @@ class Engine:
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
 ) -> Engine:
-    """A model and the engine that runs its networks.
+    """A model with the engine that runs its networks.
 
-    This is the compiled engine, or onnxruntime for an .onnx file.
+    The networks of a model file run compiled, those of an .onnx file in onnxruntime. An .onnx
+    file of another program runs compiled where all of its nodes have a compiled form.
 
     Parameters
     ----------
     name_or_path : a model, see `load_model`, or an .onnx file that `async-tnt export` wrote.
-    map_sensor : (width, height), the sensor that a map model is to be used for, see
+    map_sensor : (width, height) of the sensor that a map model is used for, see
         `Model.for_sensor`. Other models have a sensor of their own.
-    config : for an .onnx file of another program, a JSON file with the fields of a `TNTConfig` as
-        `config`, and optionally `classes`, as `async-tnt info` prints them of a model.
+    config : the path of a JSON file, needed for an .onnx file of another program. Its `config`
+        holds the fields of a `TNTConfig`. Its `classes`, which may be missing, are the class
+        names. `async-tnt info` prints both for a model.
 
     Raises
     ------
@@ -67,12 +77,15 @@ def choose_engine(
 
 
 def is_onnx(name_or_path: str | Path) -> bool:
-    """Whether the suffix is .onnx, in upper or lower case."""
+    """Whether a name or path ends in .onnx, in upper or lower case."""
     return Path(name_or_path).suffix.lower() == ".onnx"
 
 
 def _engine_of_other_program(path: Path, config: Path) -> Engine:
-    """The engine of another program's network: compiled where it can be, else onnxruntime."""
+    """The engine of another program's network.
+
+    The network runs compiled if all of its nodes have a compiled form, otherwise in onnxruntime.
+    """
     if not is_onnx(path):
         rule = f"is for .onnx files of other programs; {path} has its own"
         raise ParameterValueError("config", rule)
@@ -119,7 +132,7 @@ def _are_different_names(classes: Any) -> bool:
 def _engine_of_onnxruntime(
     path: Path, config: Path, volume: TNTConfig, classes: list[str] | None
 ) -> Engine:
-    """The engine of a network that has no compiled form."""
+    """The engine of a network without compiled form, which onnxruntime runs."""
     network = OnnxClassifier(_network_of_logits(path), shape=volume.shape)
     names = [str(k) for k in range(network.n_classes)]
     if classes is not None:
@@ -130,9 +143,10 @@ def _engine_of_onnxruntime(
 
 
 def _network_of_logits(path: Path) -> Any:
-    """The file or, if a softmax ends its network, the network with the logarithm of the softmax.
+    """A network whose output is logits: the path itself if no softmax ends the file's network.
 
-    That logarithm is logits whose softmax is the network's output.
+    Otherwise the network is returned with a LogSoftmax in place of the softmax. Its output can
+    serve as logits: the softmax of this output is the output of the file's network.
     """
     import onnx
 

@@ -54,9 +54,9 @@ def load_model(
     name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file; `~` is
         the home folder.
     config : how events become volumes, for an .onnx network of another program. Other files contain
-        it.
-    classes : class names in the order of the outputs, for the same networks; by default "0", "1",
-        ...
+        their configuration.
+    classes : class names in the order of the outputs, for an .onnx network of another program; by
+        default "0", "1", ...
 
     Returns
     -------
@@ -70,9 +70,9 @@ def load_model(
     TypeError : `config` or `classes` is given, but the file contains its own; or `config` is
         missing, and the file contains no configuration.
     NotImplementedError : a node of an .onnx network has no compiled form, and the message names the
-        first such node; or the layers compute other numbers than onnxruntime.
-    ValueError : the file is damaged, a pointer of Git LFS, needs a network that this release cannot
-        run, or is not a model of this package.
+        first such node; or the compiled layers compute other numbers than onnxruntime.
+    ValueError : the file is damaged; or it is a pointer of Git LFS; or it holds a network that this
+        release cannot run; or it is not a model of this package.
     """
     if str(name_or_path) in bundled_models():
         path = Path(str(_bundled_folder() / f"{name_or_path}{SUFFIX}"))
@@ -113,7 +113,8 @@ def _read_model(path: Path) -> Model:
 
 def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> Model:
     """The model of a file's tensors and metadata; an error if they are not what `save` wrote."""
-    if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
+    written = metadata.get("sha256")
+    if written is not None and written != checksum_of(weights, metadata):
         raise ValueError("its checksum differs; copy or download it again")
     config, classes, record = read_description(metadata, "network")
     for name, values in weights.items():

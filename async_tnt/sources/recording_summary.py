@@ -81,8 +81,11 @@ def summarize(
     """
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor, off_sensor="count", **reading)
     known = recording.sensor
-    counted = known is not None and known[0] * known[1] <= MAX_PIXELS
-    pixels = np.zeros(known[::-1] if known and counted else (0, 0), np.int64)
+    counts_pixels = False
+    pixels = np.zeros((0, 0), np.int64)
+    if known is not None and known[0] * known[1] <= MAX_PIXELS:
+        counts_pixels = True
+        pixels = np.zeros((known[1], known[0]), np.int64)
     first_us = recording.earliest_us
     duration_us = recording.duration_us
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
@@ -91,20 +94,23 @@ def summarize(
     rows = np.zeros(ANY_SENSOR[1], np.int64)
     n_on = 0
     n_unsorted = 0
-    newest_us = -1
+    previous_us = -1
     for packet in recording:
         t = np.ascontiguousarray(packet["t"])
         x = np.ascontiguousarray(packet["x"])
         y = np.ascontiguousarray(packet["y"])
         columns += np.bincount(x, minlength=len(columns))
         rows += np.bincount(y, minlength=len(rows))
-        if counted:
+        if counts_pixels:
             count_events(x, y, len(t), pixels)
         n_on += int((packet["p"] > 0).sum())
-        n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
-        newest_us = int(t[-1])
+        n_unsorted += int((np.diff(t, prepend=previous_us) < 0).sum())
+        previous_us = int(t[-1])
         counts += np.histogram(t - first_us, edges)[0]
 
+    events_a_second: list[float] = []
+    if recording.n_events:
+        events_a_second = (counts / (np.diff(edges) * 1e-6)).tolist()
     return RecordingSummary(
         recording=str(path),
         format=recording.format,
@@ -119,8 +125,8 @@ def summarize(
         unsorted=n_unsorted,
         first_us=first_us,
         last_us=first_us + duration_us,
-        events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
-        hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if counted else [],
+        events_a_second=events_a_second,
+        hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if counts_pixels else [],
         topics=[asdict(topic) for topic in recording.source.topics],
     )
 

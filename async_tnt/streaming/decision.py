@@ -16,15 +16,15 @@ class Object:
     """An object that a map model has found in a window."""
 
     label: str
-    """Name of its likeliest class."""
+    """Name of the object's likeliest class."""
     index: int
     """Number of that class, from 0."""
     probability: float
     """Probability of that class at this place."""
     x: float
-    """Column of its place, in sensor pixels."""
+    """Column of the object's place, in sensor pixels."""
     y: float
-    """Row of its place, in sensor pixels."""
+    """Row of the object's place, in sensor pixels."""
     id: int
     """Number of the object. It stays the same while the object moves little between two decisions.
     A new object gets the next unused number. `fire` uses up no number: the number of an object that

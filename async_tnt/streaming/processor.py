@@ -1,9 +1,9 @@
 """Processor: from packets of events to decisions, window by window.
 
 A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> a kernel
-A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`)
+A decision:  time passes (`_advance`), or an event makes it due (`_absorb_until_decision`)
              -> WindowClassifier.decide
-Both:        with our own network, in one compiled call (`_absorb_stretch`)
+Both:        with a CompiledClassifier, in one compiled call (`_absorb_stretch`)
              -> WindowClassifier.decide_stretch
 """
 
@@ -212,7 +212,7 @@ class Processor(TriggerAttributes):
             event = self._read_one(events)
             if event is not None:
                 return self.push_one(*event)
-        # the lines of `Running.begin`, a call of which would take another 30 ns
+        # the lines of `Running.begin`: a call of this method would take another 30 ns
         running = self._running
         if running.now:
             raise running.overlap()
@@ -222,7 +222,9 @@ class Processor(TriggerAttributes):
             columns = decoder.decode(events, False)
             if decoder.first_us < self._late_before_us:
                 return self._take_watched(columns)
-            return self._absorb(columns if self._accepts_late else decoder.apply_policy(columns))
+            if not self._accepts_late:
+                columns = decoder.apply_policy(columns)
+            return self._absorb(columns)
         except BaseException:
             self._recover()
             raise
@@ -235,7 +237,7 @@ class Processor(TriggerAttributes):
         `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
         or -1 or +1.
         """
-        # the lines of `Running.begin`, a call of which would take another 30 ns
+        # the lines of `Running.begin`: a call of this method would take another 30 ns
         running = self._running
         if running.now:
             raise running.overlap()
@@ -246,6 +248,7 @@ class Processor(TriggerAttributes):
                 return self._take_watched(self._decoder.decode_one(t, x, y, p, False))
             n_before = volume.n_events if self._by_event else -1
             answer = volume.absorb_one(t, x, y, p)
+            # the usual case: no single event makes a decision due
             if answer == ABSORBED and n_before < 0:
                 return []
 
@@ -268,7 +271,7 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def _recover(self) -> None:
-        """Make the state consistent: that of a stream that ends at some event of the packet.
+        """Make the state consistent, as if the stream had ended at some event of the packet.
 
         This is called after any exception, also after Ctrl-C in the middle of a step. After an
         error of a classifier the state is consistent already.
@@ -290,7 +293,7 @@ class Processor(TriggerAttributes):
         return windows.oldest, windows.oldest.start_us
 
     def _take_watched(self, columns: Columns) -> list[Decision]:
-        """Add checked events, after a look for a restart if the first of them is late."""
+        """Add checked events. If the first of them is late, a restart is looked for before."""
         if self._decoder.first_us >= self._late_before_us:
             return self._absorb(self._decoder.apply_policy(columns))
         watch = self._restarts
@@ -317,7 +320,7 @@ class Processor(TriggerAttributes):
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
         """End the stream, and begin another one.
 
-        The new stream begins with the packets that waited and the event number `first`.
+        The new stream begins with the packets that waited, then the event `first` of `columns`.
         """
         waiting = self._restarts.waiting
         decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
@@ -355,9 +358,10 @@ class Processor(TriggerAttributes):
     def _absorb_until_decision(
         self, columns: Columns, first: int, decisions: list[Decision]
     ) -> int:
-        """Add events until one of them makes a decision due, or further if compiled code decides.
+        """Add events until one of them makes a decision due, and make this decision.
 
-        Returns the first event not added.
+        Compiled code goes on after a decision that does not close the window. Returns the first
+        event not added.
         """
         if self._in_stretches:
             return self._absorb_stretch(columns, first, decisions)
@@ -401,7 +405,10 @@ class Processor(TriggerAttributes):
         decision = self._classifier.decide(
             oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
         )
-        return [decision] if why != ONLY_IF_SURE or decision.complete else []
+        # with `confidence` alone, each event is classified, but only a sure answer is a decision
+        if why == ONLY_IF_SURE and not decision.complete:
+            return []
+        return [decision]
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
         """Let time pass to `t_us`: `every_us` fires, windows close and open on the way."""
@@ -424,7 +431,7 @@ class Processor(TriggerAttributes):
         self._open_windows(t_us)
 
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
-        """Decide about the oldest window, which is complete, unless it is empty; and close it."""
+        """Decide about the oldest window, unless it is empty, and close it. It is complete."""
         oldest = self._windows.oldest
         # The decision is made before the window is closed: if the classifier raises an error, the
         # window stays open.
@@ -454,7 +461,7 @@ class Processor(TriggerAttributes):
     def _begin_oldest(self, now_us: int) -> None:
         """Note that another window has become the oldest, or that no window is open any more.
 
-        now_us : a time that no event so far is later than.
+        now_us : a time at or after all events so far.
         """
         windows = self._windows
         self._seen_us = now_us
@@ -483,7 +490,8 @@ class Processor(TriggerAttributes):
         """End the stream: classify the open windows that hold events, and close them.
 
         The decisions have `complete` False and the trigger `end`. Events of these windows that
-        still come are late; where windows have a number of events, they begin another window.
+        still come are late. But if windows have a number of events, such events begin another
+        window.
         """
         return self._finish()
 
@@ -580,7 +588,7 @@ class Processor(TriggerAttributes):
         is_direct = not overlap and self._accepts_late
         self._direct_volume: TNTVolume | None = self._windows.oldest if is_direct else None
         self._by_event = settings.by_event
-        # With both, time would have to pass for several windows at once.
+        # With overlap and `every_us`, time would have to pass for several windows at once.
         by_time_and_overlap = overlap and settings.every_us is not None
         self._in_stretches = self._classifier.decides_in_stretches and not by_time_and_overlap
         if self._in_stretches and (settings.by_event or settings.every_us is not None):
@@ -635,7 +643,7 @@ class Processor(TriggerAttributes):
         return processor
 
     def __copy__(self) -> Processor:
-        """A Processor that continues the stream by itself; so does what `pickle` loads."""
+        """A Processor that continues the stream by itself, as a Processor from a pickle does."""
         return copy.deepcopy(self)
 
     @one_at_a_time

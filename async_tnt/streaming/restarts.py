@@ -3,10 +3,10 @@
 A restart happens if a recording is read twice, if a camera is plugged in again, or if a counter
 wraps.
 
-All events that follow are older than the open window, and would be dropped as late without a word.
-A restart differs from a few events that come late. At a restart there are ENOUGH events in a row,
-and each of them is older than the newest event before it by the length of a window, or by BEHIND_US
-if windows are longer.
+All events that follow are older than the open window, and would be dropped as late without a
+message. A restart differs from a few events that come late. At a restart there are ENOUGH events in
+a row, and each of them is older than the newest event before it by the length of a window, or by
+BEHIND_US if windows are longer.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class RestartWatch:
         ------
         ValueError : there is a restart, and `on_restart` is "raise".
         """
-        # other events came in between
+        # other events were used in between: the events that waited were only late
         if self.waiting and (newest_us, n_events) != self._before:
             self.waiting = []
         self._before = (newest_us, n_events)
@@ -99,7 +99,7 @@ class RestartWatch:
         if not is_behind[0]:
             self.waiting = []
 
-        # rows of events behind; the first one may have begun with the packets that wait
+        # Events behind, in rows. The first row may have begun with the packets that wait.
         starts, lengths = _rows(is_behind)
         if self.waiting:
             lengths[0] += sum(packet.n for packet in self.waiting)
@@ -167,7 +167,7 @@ def part_of(columns: Columns, first: int, last: int, *, copy: bool = False) -> C
 
 
 def _rows(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rows of True begin in a bool array, and how long each is."""
+    """Where rows of True begin in a bool array, and how long each row is."""
     steps = np.diff(flags.astype(np.int8), prepend=0, append=0)
     starts = np.flatnonzero(steps == 1)
     return starts, np.flatnonzero(steps == -1) - starts

@@ -13,9 +13,9 @@ from async_tnt.base.messages import one_line
 
 
 def named_networks(classifier: Any, regressor: Any) -> dict[str, Any]:
-    """Name -> part of a stream that its saved state holds by this name only.
+    """Name -> part of a stream; None if the stream has no such part.
 
-    The value is None if the stream has no such part.
+    A saved state contains the name in place of the part.
     """
     return {
         "classifier": classifier,
@@ -44,7 +44,7 @@ def load_state(state: bytes, networks: dict[str, Any]) -> Any:
     unpickler.networks = networks
     try:
         return unpickler.load()
-    except Exception as error:  # a damaged pickle raises any
+    except Exception as error:  # a damaged pickle raises errors of any type
         raise ValueError(
             f"`state` must be what `save_state` of this release returned: {one_line(error)}"
         ) from None

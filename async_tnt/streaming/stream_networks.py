@@ -1,4 +1,4 @@
-"""Which networks decide about a stream: those of its model, or others that are passed instead."""
+"""The networks that decide about a stream: its model's own, or networks that are passed instead."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def networks_of(
     regressor: Regressor | None,
     classes: Sequence[str] | None,
 ) -> StreamNetworks:
-    """The configuration and the networks of a stream: those passed, otherwise those of the model.
+    """The configuration and the networks of a stream; what is not passed comes from the model.
 
     The parameters are those of `Processor`.
 

@@ -22,8 +22,10 @@ from async_tnt.volume.events import LARGER_CAMERA, EventDecoder, Late
 from async_tnt.volume.regressor import Regressor
 
 PIECE = 256
-"""Number of events that `volumes` pushes at once. So few events close few windows. The volumes of
-all the windows of a long packet might not fit into the memory."""
+"""Number of events that `volumes` pushes at once.
+
+The volumes of all windows that one push closes lie in memory together. So few events close few
+windows; the volumes of a long packet might not fit into the memory."""
 
 
 class Settings(TypedDict, total=False):
@@ -74,7 +76,7 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    # Made here and not in the generator, so that errors come before the first event.
+    # The Processor is made here, not in the generator: errors come before the first event.
     processor = as_processor(model, **settings)
     return _stream(source, processor, finish)
 
@@ -116,7 +118,7 @@ def astream(
     if not hasattr(source, "__aiter__"):
         got = f"{type(source).__name__}; `stream` takes iterables that are not"
         raise ParameterTypeError("source", "must be asynchronous", got)
-    # Made here and not in the generator, so that errors come before the first event.
+    # The Processor is made here, not in the generator: errors come before the first event.
     processor = as_processor(model, **settings)
     return _astream(source, processor, finish)
 
@@ -184,7 +186,7 @@ def volumes(
         return [0.0]
 
     settings["classifier"] = keep
-    # Made here and not in the generator, so that errors come before the first event.
+    # The Processor is made here, not in the generator: errors come before the first event.
     decisions = stream(_pieces(source, decoder), config, **settings)
     return (
         WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)

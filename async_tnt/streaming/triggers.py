@@ -97,7 +97,7 @@ class Triggers:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._ints = self.state.view(np.int64)  # a view again, and not a copy
+        self._ints = self.state.view(np.int64)  # a view of the new state, not of the old one
         self._prepare()  # perhaps in another process
 
     def _prepare(self) -> None:
@@ -187,7 +187,7 @@ class TriggerAttributes:
 
     @property
     def confidence(self) -> float | None:
-        """Close a window at a decision whose class has this probability; None: never.
+        """Close a window at a decision whose likeliest class has this probability; None: never.
 
         May change between calls.
         """

@@ -131,7 +131,7 @@ class WindowClassifier:
             raise ParameterValueError("classifier", rule, f"one for {compiled.sensor}")
 
     def check_confidence(self, confidence: float | None) -> None:
-        """Refuse a level of confidence where objects are found.
+        """Refuse a level of confidence if the classifier is known to find objects.
 
         For some classifiers, only the first answer shows that they find objects.
         """
@@ -149,7 +149,7 @@ class WindowClassifier:
         shape = reader.shape
         places = getattr(classifier, "places", None) or even_places(shape, self._config.sensor)
         tracks = new_tracks(places, shape, self._config.window_us)
-        # numbers go on: none is given twice in a stream
+        # the numbering goes on: no number is given twice in a stream
         if len(self._tracks):
             tracks[0, NEXT_NUMBER] = self._tracks[0, NEXT_NUMBER]
         return tracks
@@ -312,7 +312,8 @@ class WindowClassifier:
         absorbed = first
         end = FULL
         while end == FULL:
-            # room for most packets' decisions; where it is full, another call goes on
+            # These arrays have room for the decisions of most packets. If they are full, the next
+            # call goes on with new arrays.
             n_rows = last - absorbed
             if every_events:
                 n_rows = n_rows // every_events + 1
@@ -325,22 +326,21 @@ class WindowClassifier:
             blocks.append((notes[:n].tolist(), probabilities, logits))
 
         start_us = volume.start_us
-        trigger_names = TRIGGER_NAMES
-        decisions = [
-            Decision(
-                classes[index],
-                index,
-                block_probabilities[k],
-                block_logits[k],
-                start_us,
-                time_us,
-                n_events,
-                why == T.BY_CONFIDENCE,
-                trigger_names[why],
-            )
-            for rows, block_probabilities, block_logits in blocks
-            for k, (n_events, time_us, why, index) in enumerate(rows)
-        ]
+        decisions = []
+        for rows, block_probabilities, block_logits in blocks:
+            for k, (n_events, time_us, why, index) in enumerate(rows):
+                decision = Decision(
+                    classes[index],
+                    index,
+                    block_probabilities[k],
+                    block_logits[k],
+                    start_us,
+                    time_us,
+                    n_events,
+                    why == T.BY_CONFIDENCE,
+                    TRIGGER_NAMES[why],
+                )
+                decisions.append(decision)
         error = _not_finite(logits[n]) if end == NOT_FINITE else None
         return absorbed, decisions, error
 

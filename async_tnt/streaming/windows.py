@@ -112,7 +112,7 @@ class WindowScheduler:
 
     @property
     def oldest(self) -> TNTVolume:
-        """The oldest open window; an empty one if no window is open."""
+        """The volume of the oldest open window; an empty volume if no window is open."""
         return self._open[0] if self._open else self.volumes[0]
 
     @property
@@ -156,7 +156,7 @@ class WindowScheduler:
     def begin_sharing(self, columns: Columns, first: int) -> None:
         """Note the counts before the oldest window absorbs the events from `first` on.
 
-        Nothing is to be done where windows do not overlap.
+        If windows do not overlap, nothing is noted, and `share` does nothing.
         """
         if self.overlap:
             oldest = self._open[0]
@@ -197,7 +197,7 @@ class WindowScheduler:
             self._finish_closing()
         self._closing = None
 
-        # windows that were being opened
+        # windows that the exception left half open, or open for an event that was never absorbed
         self._open = deque(volume for volume in self._open if self._stays_open(volume))
         if not self._open and self._empty_begins_with_event():
             self._next_start_us = None
@@ -209,15 +209,15 @@ class WindowScheduler:
             self._next_start_us = self._open[-1].start_us + self.hop_us
 
     def _stays_open(self, volume: TNTVolume) -> bool:
-        """Whether a window was opened whole, and not for an event that was never absorbed."""
+        """Whether a window is open, and not only for an event that was never absorbed."""
         if not volume.is_open:
             return False
         return volume.n_events > 0 or not self._empty_begins_with_event()
 
     def _empty_begins_with_event(self) -> bool:
-        """Whether a window without events would begin where its first event is.
+        """Whether a window without events would begin at the time of its first event.
 
-        It is so for each window of `window_events`, and for the first window of a stream without
+        This holds for each window of `window_events`, and for the first window of a stream without
         `start_us`.
         """
         if self._window_events is not None:
@@ -234,7 +234,7 @@ class WindowScheduler:
             self._next_start_us = t_us
         start_us = self._next_start_us
 
-        # if the next window has ended already, none is open
+        # no window is open, and the next one has ended before `t_us`: empty windows are skipped
         if start_us + self._window_us <= t_us:
             n_skipped = (t_us - self._window_us - start_us) // self.hop_us + 1
             start_us += n_skipped * self.hop_us

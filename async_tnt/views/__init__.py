@@ -4,8 +4,8 @@
         for packet in open_recording("seven.bin"):
             view.push(packet)
 
-Needs the extra `view`. The names of what is logged are in `rerun_log`. The figures of `async-tnt
-plot` are in the modules `figure_...`.
+Needs the extra `view`. `rerun_log` has the names under which data is logged. The modules
+`figure_...` draw the figures of `async-tnt plot`.
 """
 
 from async_tnt.views.rerun_view import RerunView

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHARES = 1 / 3, 2 / 3, 1.0
-"""Shares of a window after which it is drawn."""
+"""Shares of a window. After each of them a panel is drawn."""
 EDGE = 0.15
 """Inches left, right and below the panels."""
 GAP = 0.28
@@ -28,16 +28,18 @@ GAP = 0.28
 TOP = 0.7
 """Inches above the panels."""
 RIGHTMOST = 0.85
-"""Share of the width from which on words stand left of an object, to stay inside."""
+"""Share of a panel's width. Objects right of it have their words on the left, inside the panel."""
 
 
 def draw_window_objects(window: Window, model: Model) -> Figure:
-    """Draw a panel for each of `SHARES` of a window."""
+    """Draw the objects that a map model finds in a window: a panel for each of `SHARES`."""
     processor = Processor(model, start_us=window.start_us)
     decisions = []
     in_order = window.events[np.argsort(window.events["t"], kind="stable")]
     ends_us = [window.start_us + round(share * model.config.window_us) for share in SHARES]
-    for part in np.split(in_order, np.searchsorted(in_order["t"], ends_us))[:-1]:
+    stops = np.searchsorted(in_order["t"], ends_us)
+    parts = np.split(in_order, stops)[:-1]  # the last part lies after the window
+    for part in parts:
         processor.push(part)
         decisions.append(processor.fire())
     titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
@@ -58,7 +60,8 @@ def draw_objects(
     Parameters
     ----------
     decisions, titles : one for each panel.
-    events : events of the recording, in order. A panel shows what its window had until then.
+    events : events of the recording, in order of time. A panel shows the events of the decision's
+        window up to the decision.
     sensor : (width, height), in pixels.
     words : the headline.
     """
@@ -67,9 +70,9 @@ def draw_objects(
     figure = new_figure(TOP + side * height / width + EDGE)
     for k, (decision, title) in enumerate(zip(decisions, titles, strict=True)):
         axes = axes_at(figure, EDGE + k * (side + GAP), TOP, side, side * height / width)
-        since = (events["t"] >= decision.window_start_us) & (events["t"] <= decision.time_us)
+        in_window = (events["t"] >= decision.window_start_us) & (events["t"] <= decision.time_us)
         for p, colour in ((1, ON), (0, OFF)):
-            shown = events[since & (events["p"] == p)]
+            shown = events[in_window & (events["p"] == p)]
             axes.plot(shown["x"], shown["y"], ",", color=colour, alpha=0.6)
         for found in decision.objects or ():
             _draw_object(axes, found, words_left=found.x > RIGHTMOST * width)
@@ -83,11 +86,11 @@ def draw_objects(
 def _draw_object(axes: Any, found: Object, *, words_left: bool) -> None:
     """Draw a circle, with class and probability beside it."""
     axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
-    for text, down, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
+    for text, up, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
         axes.annotate(
             text,
             (found.x, found.y),
-            (-14 if words_left else 14, down),
+            (-14 if words_left else 14, up),
             fontsize=size,
             color=TEXT,
             ha="right" if words_left else "left",

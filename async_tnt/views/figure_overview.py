@@ -29,23 +29,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EVENTS_HEIGHT = 4.0
-"""Inches that the events take, with what is above them."""
+"""Height of the part with the events, from the top of the page, in inches."""
 CLASSES_HEIGHT = 1.9
-"""Inches of the plot of class probabilities."""
+"""Height of the plot of class probabilities, in inches."""
 EVERY_US = 2_500
-"""Microseconds between decisions; more in a long recording."""
+"""Microseconds between decisions, at least. A long recording has fewer decisions in a second."""
 MOST_DECISIONS = 2_000
-"""Decisions that can still be told apart."""
+"""Number of decisions that the plot can show side by side."""
 MOST_SLICES = 12
-"""Bins of a volume that are drawn, evenly spread."""
+"""Number of bins of a volume that are drawn, at most. They are evenly spread."""
 MOST_NAMED = 20
-"""Windows whose decisions are written, at most."""
+"""If a recording has more windows, the windows' decisions are not written in the plot."""
 
 
 def draw_overview(subject: Subject, number: int = 1) -> Figure:
-    """One window's events and volumes, and the whole recording's class probabilities.
+    """Draw one window's events and volumes, and the whole recording's class probabilities.
 
-    Without a model the probabilities are left out.
+    Without a model, the probabilities are left out.
+
+    Parameters
+    ----------
+    number : number of the window, counted from 1.
     """
     window = subject.window(number)
     config = subject.config
@@ -61,7 +65,10 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
         return figure
 
     t = subject.events["t"]
-    every_us = max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
+    duration_us = int(t.max() - t.min())
+    # with this step, `MOST_DECISIONS` span the recording; rounded down to half milliseconds
+    distinct_us = duration_us // MOST_DECISIONS // 500 * 500
+    every_us = max(EVERY_US, distinct_us)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
     # The last decision of each window.
@@ -79,7 +86,7 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
 def draw_classes(
     axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]
 ) -> None:
-    """Draw a line for each class, and write each window's decision above it.
+    """Draw the probability of each class as a line, and write each window's decision above.
 
     The likeliest classes have a colour and a name.
 
@@ -88,11 +95,10 @@ def draw_classes(
     decisions : all decisions.
     last : the last decision of each window.
     """
-    # (decisions, classes)
-    probabilities = np.array([d.probabilities for d in decisions])
+    probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
     times = subject.since_start_ms(np.array([d.time_us for d in decisions]))
     starts_us = np.array([d.window_start_us for d in decisions])
-    # a line ends with its window
+    # nan interrupts the lines at the end of each window
     ends = np.flatnonzero(np.diff(starts_us)) + 1
     x = np.insert(times, ends, np.nan)
     y = np.insert(probabilities, ends, np.nan, axis=0)

@@ -1,4 +1,4 @@
-"""What was simulated: a window or a picture a row, and the events that were made of it."""
+"""Draw simulated events: in each row a window or a picture, and the events simulated from it."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ SIDE = 1.42
 GAP = 0.12
 """Inches between pictures."""
 STRONGEST = 4.0
-"""Events of a pixel that have the full colour."""
+"""Number of events at which a pixel has the full colour."""
 
 
 @dataclass(frozen=True)
 class ResynthesizedWindow:
-    """One window, and what was simulated of it, in sensor pixels.
+    """One window, and the events that were simulated from it, in sensor pixels.
 
     Parameters
     ----------
     name : name of its class.
-    recorded : its events, with fields x, y, p.
+    recorded : the recorded events of the window, with fields x, y, p.
     image : (H, W), log luminance halfway through the window.
-    same_motion : events of that image under the motion that was found.
-    motions : displacement since the window's start, (n, 2): of the motion that was found, and of
-        each new one.
-    others : events under each new motion.
+    same_motion : simulated events of the image, under the motion that was found in the window.
+    motions : the path of the motion that was found, then the path of each new motion. A path is the
+        displacement since the window's start, (n, 2).
+    others : simulated events of the image, under each new motion.
     """
 
     name: str
@@ -60,13 +60,13 @@ class ResynthesizedWindow:
 
 @dataclass(frozen=True)
 class RefusedWindow:
-    """A window without a path that may be relied on.
+    """A window in which no reliable path was found.
 
     Parameters
     ----------
     name : name of its class.
-    recorded : its events, with fields x, y, p.
-    reason : why its path may not be relied on.
+    recorded : the recorded events of the window, with fields x, y, p.
+    reason : why there is no reliable path.
     """
 
     name: str
@@ -79,13 +79,13 @@ def draw_resynthesis(
 ) -> Figure:
     """Draw a row for each window.
 
-    It has the recorded events, the image and the path found in them, and events of that image
-    under this path and under others.
+    A row has the recorded events, then the image and the path that were found in them. Then it has
+    simulated events of this image, along the same path and along each other path.
 
     Parameters
     ----------
-    windows : at least one, all with as many other paths.
-    refused : windows in which no path was found.
+    windows : at least one window. All have the same number of other paths.
+    refused : windows in which no path was found. Their rows have only the recorded events.
     """
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
@@ -109,6 +109,7 @@ def draw_resynthesis(
         pictures = [window.image]
         for events in (window.same_motion, *window.others):
             pictures.append(_counts(events, (height, width)))
+        # the path that was found is drawn twice: in the image, and in its simulated events
         paths = [window.motions[0], *window.motions]
         for column, (picture, path) in enumerate(zip(pictures, paths, strict=True), 1):
             axes = _draw_picture(figure, column, top, picture, is_image=column == 1)
@@ -120,12 +121,13 @@ def draw_resynthesis(
 def draw_recorded_pictures(
     pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int]
 ) -> Figure:
-    """Draw a row for each picture: the picture, and its recordings.
+    """Draw a row for each picture: the picture, and its simulated recordings.
 
     Parameters
     ----------
-    pictures : for each its class, its luminance (h, w), and the events, with fields x, y, p, of
-        each of its recordings. All have as many recordings.
+    pictures : for each picture (class, luminance, recordings). The luminance has shape (h, w). A
+        recording is an array of events with fields x, y, p. All pictures have the same number of
+        recordings.
     sensor : (width, height), in pixels.
     """
     high = SIDE * sensor[1] / sensor[0]
@@ -146,14 +148,20 @@ def draw_recorded_pictures(
 
 
 def _figure_of(n_rows: int, n_columns: int, high: float) -> Figure:
-    """A figure with room for rows of pictures, each `high` inches."""
+    """A figure with room for rows and columns of pictures, which are `high` inches high."""
     return new_figure(TOP + n_rows * (high + GAP) + 0.1, LEFT + n_columns * (SIDE + GAP) + 0.1)
 
 
 def _draw_picture(
     figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool
 ) -> Any:
-    """Axes with a picture in a column, from `top` inches on: an image, or ON minus OFF events."""
+    """Draw a picture in a column, `top` inches below the figure's upper edge. Returns its axes.
+
+    Parameters
+    ----------
+    picture : (H, W): an image, or the number of ON minus OFF events.
+    is_image : whether it is an image.
+    """
     high = SIDE * picture.shape[0] / picture.shape[1]
     axes = picture_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
     if is_image:
@@ -164,16 +172,19 @@ def _draw_picture(
 
 
 def _counts(events: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """ON minus OFF events of each pixel."""
+    """The number of ON minus OFF events of each pixel."""
     counts = np.zeros(shape)
     np.add.at(counts, (events["y"], events["x"]), np.where(events["p"] == 1, 1.0, -1.0))
     return counts
 
 
 def _draw_path(axes: Any, path: np.ndarray, sensor: tuple[int, int]) -> None:
-    """Draw a path about the middle of the picture, with an arrow at its end."""
-    x, y = (path - (path.min(0) + path.max(0)) / 2 + (np.array(sensor) - 1) / 2).T
+    """Draw a path around the middle of the picture, with an arrow at the path's end."""
+    middle_of_path = (path.min(0) + path.max(0)) / 2
+    middle_of_sensor = (np.array(sensor) - 1) / 2
+    x, y = (path - middle_of_path + middle_of_sensor).T
     axes.plot(x, y, color="black", lw=1.4)
+    # the arrow comes from the last point that is not too near to the end
     far = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))
     if len(far):
         before = x[far[-1]], y[far[-1]]

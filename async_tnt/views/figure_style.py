@@ -1,4 +1,4 @@
-"""The style of all figures, and how they are written to files: completely or not at all."""
+"""The style of all figures, the parts that they share, and `save`, which writes them to files."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ ON = "#D55E00"
 OFF = "#0072B2"
 """Colour of OFF events."""
 OFF_TO_ON = OFF, "#ffffff", ON
-"""Colours of what has a sign, from its smallest value over zero to its largest."""
+"""Colours of values with a sign: of the most negative value, of zero, of the most positive one."""
 HIGHLIGHTS = (
     ("#000000", "-"),
     ("#009E73", (0, (5, 1.5))),
     ("#CC79A7", (0, (3, 1, 1, 1))),
     ("#E69F00", (0, (1, 1))),
 )
-"""Colours and dashes of the lines that are named."""
+"""Colours and dashes of the lines that the legend names."""
 GREY = "#8a8a8a"
-"""Colour of lines that are not named."""
+"""Colour of the lines that the legend does not name."""
 PALE = "#c4c4c4"
 """Colour of frames."""
 TEXT = "#555555"
@@ -41,7 +41,7 @@ SMALL = 9
 NORMAL = 10
 LARGE = 11
 WIDTH = 10.4
-"""Inches of a figure."""
+"""Width of a figure, in inches."""
 
 FORMATS = (".png", ".svg", ".pdf")
 _STYLE: dict[str, Any] = {
@@ -55,16 +55,16 @@ _STYLE: dict[str, Any] = {
     "ytick.labelsize": SMALL,
     "legend.fontsize": SMALL,
     "legend.frameon": False,
-    "text.parse_math": False,  # a $ in a file's name is a $
-    "svg.fonttype": "none",  # words stay words: searchable, and small
+    "text.parse_math": False,  # a $ in a file's name is printed as a $
+    "svg.fonttype": "none",  # text stays text: it can be searched, and takes little space
     "svg.hashsalt": "async_tnt",  # the same figure gives the same bytes
 }
 
 
 def styled() -> AbstractContextManager[None]:
-    """Give figures our style within the block.
+    """A context: figures that are made within its block have our style.
 
-    The user's settings do not matter and stay as they are.
+    The user's own settings of matplotlib have no effect there, and stay as they are.
     """
     import matplotlib.style
 
@@ -81,34 +81,34 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 def axes_at(
     figure: Figure, left: float, top: float, width: float, height: float, **settings: Any
 ) -> Any:
-    """Axes at inches from the figure's upper left corner."""
+    """Add axes to a figure, in inches. `left` and `top` count from its upper left corner."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h), **settings)
 
 
 def picture_at(figure: Figure, left: float, top: float, width: float, height: float) -> Any:
-    """`axes_at` for a picture: with a pale frame, without ticks."""
+    """Add axes for a picture, as `axes_at` does, but with a pale frame and without ticks."""
     axes = axes_at(figure, left, top, width, height, xticks=[], yticks=[])
     axes.spines[:].set(visible=True, color=PALE)
     return axes
 
 
 def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
-    """One line of words at inches from the figure's upper left corner."""
+    """Write a line of text. `left` and `top` are inches from the figure's upper left corner."""
     w, h = figure.get_size_inches()
     look = {"va": "center", "fontsize": LARGE, **settings}
     figure.text(left / w, 1 - top / h, printable(words), **look)
 
 
 def headline(figure: Figure, words: str) -> None:
-    """The figure's title, at its upper left."""
+    """Write the figure's title, in its upper left corner."""
     write_at(figure, 0.21, 0.25, words, fontsize=LARGE + 2, fontweight="bold")
 
 
 def note(
     axes: Any, words: str, at: tuple[float, float], offset: tuple[float, float], **settings: Any
 ) -> None:
-    """Small words beside a point of the data, `offset` points away."""
+    """Write small text beside the data point `at`. `offset` is (right, up), in 1/72 inch."""
     look = {"fontsize": SMALL, "color": TEXT, **settings}
     axes.annotate(words, at, xytext=offset, textcoords="offset points", **look)
 
@@ -127,13 +127,14 @@ def check_picture(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a figure, drawn `styled`, in the format of the suffix.
+    """Write a figure to a file, in the format of the file's suffix.
 
-    An existing file is replaced when the new one is complete.
+    Call it within `styled`, in which the figure was drawn. An existing file is replaced only when
+    the new file is complete.
 
     Parameters
     ----------
-    dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
+    dpi : pixels per inch of a PNG file, and of the clouds of dots in an SVG or PDF file.
     """
     kind = path.suffix.lower().removeprefix(".")
     # no dates and versions: the same figure gives the same bytes
@@ -147,14 +148,14 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
 
 
 def colour_map(*colours: str) -> Colormap:
-    """A colour map from the first colour to the last, over those between them."""
+    """A colour map from the first colour to the last, through all colours between them."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("async_tnt", colours)
 
 
 def polarity_legend(figure: Figure, more: Sequence[Any] = ()) -> None:
-    """A legend for ON and OFF dots, and `more` handles, at the figure's upper right."""
+    """Add a legend of ON dots, OFF dots and `more` handles, in the figure's upper right corner."""
     from matplotlib.lines import Line2D
 
     handles = [
@@ -175,7 +176,7 @@ def shortened(name: str, most: int) -> str:
 
 
 def few_ticks(**settings: Any) -> Any:
-    """About four ticks, at round numbers."""
+    """A locator that places about four ticks, at round numbers."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(4, **settings)

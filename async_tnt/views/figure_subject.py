@@ -1,4 +1,4 @@
-"""What figures draw of a recording: its events, raw and transformed, its volumes and the model."""
+"""What figures show about a recording: events and volumes, raw and transformed, and the model."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from async_tnt.volume.volume import TNTVolume
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A recording, and how it is drawn.
+    """A recording, with the configuration and the model by which it is drawn.
 
     Parameters
     ----------
     name : name of the recording, for titles.
     events : structured array of `EVENT_DTYPE`, in order of arrival, at least one.
-    config : how events and volumes are drawn; transform "tnt".
-    model : makes the decisions, with its own configuration; None: no decisions. With landmark
-        "regressor" its network computes the landmark.
+    config : configuration of the events and volumes that are drawn. Its transform is "tnt".
+    model : makes the decisions, with its own configuration. None: there are no decisions. If the
+        landmark of `config` is "regressor", the model's landmark network computes the landmark.
     model_name : name of the model, for titles.
-    start_us : start of the first window; by default the first event.
+    start_us : start of the first window; by default the time of the first event.
 
     Raises
     ------
-    ValueError : there are no events; or a landmark network is needed and the model has none, or one
-        of another shape.
+    ValueError : there are no events; or `config` needs a landmark network, and the model has none
+        or one of another shape.
     """
 
     name: str
@@ -52,11 +52,14 @@ class Subject:
         return int(self.events["t"][0]) if self.start_us is None else self.start_us
 
     def since_start_ms(self, t_us: Any) -> Any:
-        """Milliseconds since the first window's start: cameras' clocks may start at any value."""
+        """Convert times to milliseconds since the first window's start.
+
+        The times themselves say little, because a camera's clock may start at any value.
+        """
         return (t_us - self.first_us) / 1e3
 
     def window(self, number: int) -> Window:
-        """The `number`-th window, counted from 1; windows follow each other as in a stream.
+        """The window of this number, counted from 1. Windows follow each other as in a stream.
 
         Raises
         ------
@@ -65,7 +68,8 @@ class Subject:
         window_us = self.config.window_us
         start_us = self.first_us + (number - 1) * window_us
         t = self.events["t"]
-        # an event that arrives after one of a later window is late; the stream drops it, too
+        # An event that arrives after an event of a later window is late. It is left out here, just
+        # as the stream drops it.
         still_open = np.maximum.accumulate(t) < start_us + window_us
         inside = self.events[still_open & (t >= start_us)]
         if inside.size:
@@ -90,11 +94,11 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The events of one window of a recording, and what is drawn of them."""
+    """The events of one window of a recording, and the volumes and coordinates to draw."""
 
     subject: Subject
     number: int
-    """Counted from 1."""
+    """Number of the window in the recording, counted from 1."""
     start_us: int
     events: np.ndarray
 
@@ -110,9 +114,11 @@ class Window:
         return self._volume(raw_config).array, self._volume(config).array
 
     def coordinates(self) -> Coordinates:
-        """Where the transform puts each event: u = (x - l) / tau + c.
+        """The coordinates (u, v) to which the transform moves each event.
 
-        Here l is the landmark that the volume had for the event.
+        u = (x - l) / tau + c, and v likewise. Here x is the event's column on the grid, and l is
+        the landmark that the volume had for the event. tau is the time since the window's start,
+        scaled so that the window's end is at t_max. c is the middle of the grid.
         """
         config = self.subject.config
         pixels = np.stack([self.events["x"], self.events["y"]], axis=1)  # (N, 2)
@@ -126,13 +132,13 @@ class Window:
         return Coordinates(u, v, kept, landmark)
 
     def _landmarks(self) -> np.ndarray:
-        """The point that each event is centred on: float64, shape (N, 2)."""
+        """The point about which each event is transformed: float64, shape (N, 2)."""
         config = self.subject.config
-        # a landmark that is known only when the volume is read is the same for all events
+        # a landmark that is only known when the volume is read is the same for all events
         if config.defers_landmark:
             return np.tile(self._volume(config).landmark, (self.events.size, 1))
         centred_on = np.empty((self.events.size, 2))
-        # landmarks do not depend on the cells
+        # the landmark does not depend on the volume's cells, so the smallest volume will do
         volume = TNTVolume(config.replace(representation="volume", bins=1))
         volume.open(self.start_us)
         for i, event in enumerate(self.events.tolist()):
@@ -144,7 +150,7 @@ class Window:
         return centred_on
 
     def _volume(self, config: TNTConfig) -> TNTVolume:
-        """A configuration's volume after all events."""
+        """The volume of all the window's events, with this configuration."""
         regressor = self.subject.regressor() if config.needs_regressor else None
         volume = TNTVolume(config, regressor=regressor)
         volume.open(self.start_us)
@@ -153,18 +159,18 @@ class Window:
 
 
 class Coordinates(NamedTuple):
-    """Where the transform puts N events of a window, in order of arrival."""
+    """The coordinates to which the transform moves N events of a window, in order of arrival."""
 
     u: np.ndarray
-    """float64, shape (N,): column in the transformed grid; inf or nan at the window's very start,
-    where tau is 0."""
+    """float64, shape (N,): column in the transformed grid. It is inf or nan for an event at the
+    window's very start, where tau is 0."""
     v: np.ndarray
-    """float64, shape (N,): row."""
+    """float64, shape (N,): row in the transformed grid; inf or nan where `u` may be."""
     kept: np.ndarray
-    """bool, shape (N,): the event is on the grid, and so in the volume."""
+    """bool, shape (N,): whether the event is on the grid, and therefore in the volume."""
     landmark: np.ndarray
-    """float64, shape (N, 2): the point (x, y) each event was centred on, in grid pixels. With
-    `remove_flow`, the place of the fitted line at the event's time."""
+    """float64, shape (N, 2): the point (x, y) about which each event is transformed, in grid
+    pixels. With `remove_flow`, it is the place of the fitted line at the event's time."""
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
@@ -176,5 +182,5 @@ def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
 
 
 def shown_evenly(n: int, most: int) -> np.ndarray:
-    """At most `most` indices of n things, evenly spread."""
+    """At most `most` of the indices from 0 to n - 1, evenly spread."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.int64)

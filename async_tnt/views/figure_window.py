@@ -32,29 +32,32 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 MOST_DOTS = 12_000
-"""Events of a window that are drawn; more would hide one another."""
+"""Number of events of a window that are drawn, at most. More would hide one another."""
 INK = {"unsigned": "#222222", "ON": ON, "OFF": OFF}
 """Colours of volumes without a sign."""
 
-# inches
 LEFT = 0.75
-"""Left of the pictures."""
+"""Inches left of the pictures."""
 RIGHT = 0.85
-"""Right of the pictures, for the colour bars."""
+"""Inches right of the pictures, for the colour bars."""
 GAP = 0.06
-"""Between the pictures of a row."""
+"""Inches between the pictures of a row."""
 ROW_GAP = 0.12
-"""Between rows."""
+"""Inches between rows."""
 HEAD = 0.36
-"""Above the pictures, for the titles."""
+"""Inches above the pictures, for the titles."""
 TALLEST = 1.9
-"""Height of a picture, at most."""
+"""Height of a picture in inches, at most."""
 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
     """Draw raw and transformed events side by side at the top of a figure.
 
-    They have titles and a legend.
+    Titles and a legend are added.
+
+    Parameters
+    ----------
+    height : height of the plots, in inches.
     """
     config = window.subject.config
     events = window.events
@@ -76,19 +79,20 @@ def draw_both(figure: Figure, window: Window, height: float) -> None:
 
 
 def transform_words(config: TNTConfig) -> str:
-    """The transform's settings, for titles."""
+    """The transform's settings as text, for titles."""
     flow = ", flow removed" if config.remove_flow else ""
     return f"{config.landmark}{flow}, t_max {config.t_max:g}"
 
 
 def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
-    """Draw events as dots.
+    """Draw the `kept` events as dots, at (time, x, y).
 
-    Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of
-    moments.
+    Time goes to the right, x into the depth, and y downwards, as if the sensor's images of
+    successive moments stood in a row.
     """
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
+    # many dots are drawn smaller
     size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
     axes.scatter(
         window.time_ms[shown],
@@ -103,7 +107,7 @@ def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: 
 
 
 def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_name: str) -> None:
-    """Set the limits, the labels and the view of axes whose sides are (x, y) pixels."""
+    """Set the limits, the labels and the view of axes for a grid of `sides` (width, height)."""
     axes.set(
         xlim=(0, window.subject.config.window_us / 1e3),
         ylim=(0, sides[0] - 1),
@@ -113,7 +117,7 @@ def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_nam
     axes.set_ylabel(f"{x_name} (px)", labelpad=-4)
     axes.set_zlabel(f"{y_name} (px)", labelpad=-6)
     axes.tick_params(labelsize=SMALL, pad=-2, colors=TEXT)
-    # parallels stay parallel: a shape in constant motion is a slanted tube
+    # Parallel lines stay parallel, so that a shape in constant motion looks like a slanted tube.
     axes.set_proj_type("ortho")
     axes.set_box_aspect((1.9, sides[0] / max(sides), sides[1] / max(sides)), zoom=1.2)
     axes.view_init(elev=16, azim=-38)
@@ -124,17 +128,18 @@ def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_nam
 
 
 class Layer(NamedTuple):
-    """What one row of pictures shows."""
+    """The bins of a volume that one row of pictures shows."""
 
     cells: np.ndarray
     """float32, shape (B, H, W)."""
     name: str
+    """Label of the row."""
     colours: str
-    """signed, unsigned, ON or OFF."""
+    """Which colours the cells have: signed, unsigned, ON or OFF."""
 
 
 def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
-    """The rows of pictures of a volume: one, or two for split polarity."""
+    """The rows of pictures that show a volume: one row, or two for split polarity."""
     if config.polarity == "split":
         return [
             Layer(volume[: config.bins], f"{name}, ON", "ON"),
@@ -144,22 +149,27 @@ def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
 
 
 def layers_of_window(window: Window) -> list[Layer]:
-    """The rows of pictures of a window's raw and transformed volume."""
+    """The rows of pictures that show a window's raw and transformed volume."""
     config = window.subject.config
     raw, tnt = window.volumes()
     return layers_of(raw, config, "raw") + layers_of(tnt, config, "TNT")
 
 
 def layers_height(config: TNTConfig, n_shown: int) -> float:
-    """Inches that `draw_layers` takes."""
+    """Height of the rows and titles that `draw_layers` draws, in inches."""
     n_layers = 4 if config.polarity == "split" else 2
-    return HEAD + n_layers * (_picture(config, n_shown)[1] + ROW_GAP)
+    _, height = _picture(config, n_shown)
+    return HEAD + n_layers * (height + ROW_GAP)
 
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
-    """Draw rows of pictures, and their colour bars, over the figure's width.
+    """Draw the rows of pictures of a window, and a colour bar for each row.
 
-    The first row begins `top` inches below the figure's upper edge.
+    The rows take the figure's width, and begin `top` inches below its upper edge.
+
+    Parameters
+    ----------
+    shown : the bins that are drawn.
     """
     config = window.subject.config
     layers = layers_of_window(window)
@@ -181,7 +191,9 @@ def draw_rows(
     corner: tuple[float, float],
     picture: tuple[float, float],
 ) -> list[AxesImage]:
-    """Draw a row of pictures for each layer, in common colours. Returns an image of each row.
+    """Draw a row of pictures for each layer. Returns one image of each row, for its colour bar.
+
+    The pictures of a row have the same scale of colours.
 
     Parameters
     ----------
@@ -195,10 +207,14 @@ def draw_rows(
     images = []
     for row, layer in enumerate(layers):
         used = np.abs(layer.cells[shown])
-        # full colour begins below the largest cells, which would leave the others pale
+        # The full colour begins below the largest cells. They would leave all others pale.
         limit = float(np.quantile(used[used > 0], 0.98)) if used.any() else 1.0
-        signed = layer.colours == "signed"
-        shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[layer.colours])))
+        if layer.colours == "signed":
+            shades = colour_map(*OFF_TO_ON)
+            lowest = -limit
+        else:
+            shades = colour_map("#ffffff", INK[layer.colours])
+            lowest = 0.0
         for column, (k, title) in enumerate(zip(shown, titles, strict=True)):
             axes = picture_at(
                 figure, left + column * (width + GAP), top + row * (height + ROW_GAP), width, height
@@ -206,7 +222,7 @@ def draw_rows(
             image = axes.imshow(
                 layer.cells[k],
                 cmap=shades,
-                vmin=-limit if signed else 0.0,
+                vmin=lowest,
                 vmax=limit,
                 aspect="auto",
             )
@@ -221,10 +237,11 @@ def draw_rows(
 def _picture(config: TNTConfig, n_shown: int) -> tuple[float, float]:
     """Width and height of one picture, in inches."""
     ratio = config.grid[1] / config.grid[0]
-    height = min(TALLEST, (WIDTH - LEFT - RIGHT - GAP * (n_shown - 1)) / n_shown * ratio)
+    widest = (WIDTH - LEFT - RIGHT - GAP * (n_shown - 1)) / n_shown
+    height = min(TALLEST, widest * ratio)
     return height / ratio, height
 
 
 def bin_ms(config: TNTConfig, k: int) -> str:
-    """The time of a bin."""
+    """The time of bin k in the window, as text."""
     return f"{k * config.window_us / 1e3 / max(1, config.bins - 1):.3g} ms"

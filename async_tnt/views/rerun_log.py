@@ -1,6 +1,7 @@
-"""What is logged to Rerun, and the viewer's layout.
+"""Log a stream to Rerun, and lay out the viewer.
 
-It is logged for each picture, and for the decisions since the previous one.
+A picture is the state of the stream at a moment. With each picture, the decisions since the
+previous picture are logged.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import TNTConfig
 
 TIMELINE = "time"
-"""The recording's own microseconds, as a duration."""
+"""Name of the timeline. It shows the recording's own time, as a duration."""
 
-# names of what is logged
+# the names under which data is logged
 EVENTS = "events/image"
 LANDMARK = "events/landmark"
 OBJECTS = "events/objects"
@@ -37,23 +38,23 @@ NOTHING_COLOUR = (18, 20, 24)
 GAP_COLOUR = (70, 74, 80)
 WHITE = (255, 255, 255)
 
-# cells of an event image
+# values of the pixels of an event image
 NOTHING = 0
 OFF = 1
 ON = 2
 
 MOST_LINES = 20
-"""Decisions that are written between two pictures, the newest."""
+"""Number of decisions that are logged between two pictures, at most: the newest."""
 MOST_NAMED = 12
-"""Classes in the text, the likeliest."""
+"""Number of classes in the text about the open window, at most: the likeliest."""
 MOST_SHEET_PIXELS = 1 << 17
-"""Pixels of a picture of a volume, at most."""
+"""Number of pixels of the picture of a volume, at most."""
 LIVE_SECONDS = 10
-"""Seconds that the plots show of a stream without an end."""
+"""Seconds that the plots show of a live stream: the last ones."""
 
 
 class StreamLog:
-    """Writes to one Rerun recording.
+    """Logs a stream to one Rerun recording.
 
     Parameters
     ----------
@@ -80,22 +81,22 @@ class StreamLog:
         self._stream.log(EVENTS, rr.AnnotationContext(colours), static=True)
 
     def add(self, decisions: Sequence[Decision]) -> None:
-        """Add the decisions of a packet."""
+        """Keep the decisions of a packet, to be logged with the next picture."""
         self._pending.extend(decisions)
         self._n_pending += len(decisions)
 
     def write(
         self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
     ) -> None:
-        """Log a picture, and the decisions since the last one.
+        """Log a picture, and the decisions since the previous picture.
 
         Parameters
         ----------
-        at_us : the picture's moment.
-        now : the result of the processor's `fire`.
-        recent : events for the event image.
+        at_us : the picture's moment, in microseconds of the recording.
+        now : the decision about the open window, from the processor's `fire`.
+        recent : the events that the event image shows.
         raw : the volume without the transform, float32, shape (C, H, W).
-        processor : has the transformed volume and the landmark.
+        processor : gives the transformed volume and the landmark.
         """
         rr = self._rr
         self.n_pictures += 1
@@ -126,16 +127,16 @@ class StreamLog:
         size: float,
         labels: Sequence[str] | None = None,
     ) -> None:
-        """White points at places (x, y) in sensor pixels."""
+        """Log white points at places (x, y), in sensor pixels."""
         rr = self._rr
-        # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
+        # the viewer's pixel 0 reaches from 0 to 1, but our pixel 0 has its centre at 0
         centres = np.array(places).reshape(-1, 2) + 0.5
         radius = rr.components.Radius.ui_points(size)
         points = rr.Points2D(centres, radii=radius, labels=labels, colors=[WHITE], draw_order=100.0)
         self._stream.log(name, points)
 
     def write_decisions(self) -> None:
-        """Write the decisions since the last picture, each at its own time."""
+        """Log the decisions since the previous picture, each at its own time."""
         n_left_out = self._n_pending - len(self._pending)
         for decision in self._pending:
             span = f"{decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms"
@@ -146,7 +147,8 @@ class StreamLog:
                 text += f" ({n_left_out:,} decisions before it are not shown)"
                 n_left_out = 0
             self._set_time(decision.time_us)
-            # The viewer can hide the many early decisions, and keep the last one of each window.
+            # By its level, the viewer can hide the many early decisions, and still show the last
+            # decision of each window.
             is_last = decision.complete or decision.trigger == "end"
             level = "INFO" if is_last else "TRACE"
             self._stream.log(DECISIONS, self._rr.TextLog(text, level=level))
@@ -177,7 +179,7 @@ def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
     Parameters
     ----------
     transformed : whether there are a TNT volume and a landmark.
-    live : the plots show the last seconds only.
+    live : whether the plots show only the last seconds.
     """
     b = rr.blueprint
     pictures = [
@@ -215,28 +217,35 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
 
 
 def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.ndarray:
-    """All bins of a volume side by side: row by row, the first one at the top left.
+    """A picture of all bins of a volume, row by row from the top left.
 
-    The colour shows the sign (ON positive, OFF negative), its brightness the square root of the
-    value relative to the largest one in the volume: single events stay visible next to many.
+    A positive cell has the colour of ON events, a negative cell that of OFF events. The brightness
+    is the square root of the cell's magnitude, relative to the largest magnitude in the volume. So
+    single events stay visible next to many.
 
     Parameters
     ----------
     volume : float32, shape (C, H, W).
-    most_pixels : pixels of the sheet without its gaps, at most. A larger volume is reduced by a
-        whole number: each block of cells is shown by the largest value in it.
+    most_pixels : number of pixels of the picture without its gaps, at most. A larger volume is
+        reduced by a whole factor, see `_reduced`.
 
     Returns
     -------
     uint8, shape (height, width, 3): RGB.
     """
-    bins = _reduced(volume, math.ceil(math.sqrt(volume.size / most_pixels)))
+    factor = math.ceil(math.sqrt(volume.size / most_pixels))
+    bins = _reduced(volume, factor)
     channels, height, width = bins.shape
     columns = math.ceil(math.sqrt(channels))
-    rows = -(-channels // columns)
-    level = np.sqrt(np.abs(bins) / max(float(np.abs(bins).max()), 1e-9))[..., None]
-    colours = np.where(bins[..., None] > 0, ON_COLOUR, OFF_COLOUR)
-    coloured = np.rint(NOTHING_COLOUR + level * (colours - np.array(NOTHING_COLOUR)))
+    rows = math.ceil(channels / columns)
+
+    magnitude = np.abs(bins)
+    largest = max(float(magnitude.max()), 1e-9)
+    brightness = np.sqrt(magnitude / largest)[..., None]
+    full_colour = np.where(bins[..., None] > 0, ON_COLOUR, OFF_COLOUR)
+    dark = np.array(NOTHING_COLOUR)
+    coloured = np.rint(dark + brightness * (full_colour - dark))
+
     sheet = np.full((rows * (height + 1) - 1, columns * (width + 1) - 1, 3), GAP_COLOUR, np.uint8)
     for k in range(channels):
         row, column = divmod(k, columns)
@@ -247,9 +256,9 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
 
 
 def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
-    """A volume in which each block of factor x factor cells is one cell.
+    """A smaller volume, in which each block of factor x factor cells has become one cell.
 
-    This is the cell of the block with the largest magnitude, and it keeps its sign.
+    The new cell has the value of largest magnitude in the block, with its sign.
     """
     _, height, width = volume.shape
     rows = np.arange(0, height, factor)
@@ -262,7 +271,7 @@ def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
 def class_text(now: Decision, classes: Sequence[str]) -> str:
     """A text in Markdown about the open window: its class, and the likeliest classes.
 
-    For a map model it lists the objects.
+    For a map model, the text lists the objects instead.
     """
     if now.events == 0:
         return "# no event\n\nThe window has no event yet."
@@ -285,5 +294,7 @@ def class_text(now: Decision, classes: Sequence[str]) -> str:
 
 
 def _plain(text: str) -> str:
-    """Markdown that shows the text itself, on one line."""
-    return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-.!|~&$" else c for c in " ".join(text.split()))
+    """Markdown that shows the text as it is, on one line."""
+    on_one_line = " ".join(text.split())
+    special = r"\`*_{}[]<>()#+-.!|~&$"
+    return "".join(f"\\{c}" if c in special else c for c in on_one_line)

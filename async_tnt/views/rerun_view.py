@@ -36,7 +36,7 @@ LIVE_S = 1 / 60
 CHECK_S = 1.0
 """Seconds between flushes, which report a full disk and bound what waits for a slow viewer."""
 LAST_US = (1 << 63) // 1000
-"""The latest time that Rerun can show: it counts nanoseconds in 64 bits."""
+"""Events must be before this time, in microseconds: Rerun counts nanoseconds in 64 bits."""
 
 
 def import_rerun() -> Any:
@@ -57,13 +57,13 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
     connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a
         viewer is started.
-    picture_us : recorded microseconds between pictures. Another one is taken at the end of each
+    picture_us : recorded microseconds between pictures. Another picture is taken at the end of each
         window.
-    live : for streams without an end. There are at most 60 pictures a second of real time, drawing
-        takes at most half of the time, and the plots show the last seconds.
+    live : whether the stream has no end. Then there are at most 60 pictures a second of real time,
+        drawing takes at most half of the time, and the plots show only the last seconds.
     name : name of this recording in the viewer's list; by default a number.
-    settings : keyword arguments of `Processor`. If windows overlap, the one that `Processor.fire`
-        is about is shown.
+    settings : keyword arguments of `Processor`. If windows overlap, the view shows the window that
+        `Processor.fire` decides.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
     Raises
     ------
     ImportError : rerun-sdk is not installed.
-    ValueError, TypeError : a setting breaks its rule.
+    ValueError, TypeError : a setting is not allowed.
     OSError : the file cannot be written, no viewer responds, or there is no display on which to
         start one.
     """
@@ -118,13 +118,13 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         if name is not None:
             self._stream.send_recording_name(name)
         self.log = StreamLog(rr, self._stream, config, live=live)
-        """What was written so far, and how many pictures."""
+        """Writes the pictures; `log.n_pictures` counts them."""
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
         self._origin_us: int | None = None
         self._due_us = 0
         self._newest_us = 0
-        # packets with the events of the open window and of the event image
+        # packets that hold the events of the open window and those of the event image
         self._recent = [np.empty(0, EVENT_DTYPE)]
         self._next_picture_s = 0.0
 
@@ -133,29 +133,30 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
 
         Raises
         ------
-        ValueError, TypeError : the packet is invalid; none of it was used.
+        ValueError, TypeError : the packet is invalid. None of its events was used.
         """
         packet = as_events(events, self.processor.config.sensor)
         if len(packet) == 0:
             return []
-        # the time of the stream: an event out of order comes with the newest one before it
+        # The stream's time at each event: the time of the newest event so far.
         newest = np.maximum.accumulate(packet["t"])
         np.maximum(newest, self._newest_us, out=newest)
-        # the last picture is a microsecond after the newest event
+        # `finish` takes the last picture a microsecond after the newest event
         if int(newest[-1]) >= LAST_US:
             raise ValueError(
                 f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}"
             )
         if self.processor.late == "raise" and (newest > packet["t"]).any():
-            # the whole packet is refused
+            # the processor refuses the whole packet with an error
             return self.processor.push(packet)
-        # windows, and thus pictures, begin with the first event
+        # pictures begin with the first window: at `start_us`, or else with the first event
         if self._origin_us is None:
             start_us = self.processor.start_us
             self._origin_us = int(newest[0]) if start_us is None else start_us
             self._due_us = self._after(int(newest[0]))
 
         decisions: list[Decision] = []
+        # cut the packet where pictures are due
         first = 0
         while first < len(packet):
             if newest[first] >= self._due_us:
@@ -172,7 +173,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return decisions
 
     def finish(self) -> list[Decision]:
-        """End the stream: log a last picture, and what `Processor.finish` decides."""
+        """End the stream: log a last picture, and the decisions of `Processor.finish`."""
         if self._origin_us is None:
             return []
         self._picture(self._newest_us + 1, last=True)
@@ -183,14 +184,15 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return decisions
 
     def _after(self, t_us: int) -> int:
-        """When the next picture is due."""
+        """The moment of the first picture after `t_us`."""
         assert self._origin_us is not None
         return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
 
     def _picture(self, at_us: int, last: bool = False) -> None:
-        """Log the state just before `at_us`.
+        """Take a picture of the state just before `at_us`.
 
-        The state of a live stream is only logged if the last picture is some time ago.
+        In a live stream, the picture is left out if the previous one was too short a time ago,
+        unless it is the last one.
         """
         clock_s = time.perf_counter()
         now = self.processor.fire()
@@ -210,7 +212,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
     def _raw_volume(self, events: np.ndarray, now: Decision) -> np.ndarray:
         """The open window's volume without the transform: float32, shape (C, H, W).
 
-        It is valid until the next call.
+        The array is valid until the next call.
         """
         self._raw.reset()
         self._raw.open(now.window_start_us)
@@ -219,9 +221,9 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return self._raw.array
 
     def close(self) -> None:
-        """Finish, and complete the file; a viewer stays open. May be called twice.
+        """Finish the stream, and complete the file. A viewer stays open. May be called twice.
 
-        Without events no file is written, and an existing one stays.
+        Without events, no file is written, and an existing file stays as it is.
         """
         if self._closed:
             return
@@ -232,7 +234,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._end()
 
     def _end(self) -> None:
-        """Write out what is left, and give the file its name."""
+        """Wait until everything is written, and give the file its name."""
         try:
             self._flush()
             self._stream.disconnect()
@@ -246,12 +248,14 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._file.discard()
 
     def _flush(self) -> None:
-        """Wait until all is written that was logged; an OSError if it cannot be."""
+        """Wait until everything that was logged is written. An OSError if it cannot be written."""
         with _as_os_error(self._trouble):
             self._stream.flush(timeout_sec=PATIENCE_S)
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        # the file keeps what came before the error; the state after it may be inconsistent
+        """Close the view, also after an error."""
+        # After an error the state may be inconsistent, so a second error is ignored. The file keeps
+        # what was logged before.
         if kind is not None:
             with contextlib.suppress(Exception):
                 self.finish()
@@ -260,7 +264,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
 
 
 def _save(stream: Any, path: Path) -> Replacement:
-    """Write to NAME.rrd.part, which gets its name when it is complete."""
+    """Send a stream to the file NAME.rrd.part, which is renamed when it is complete."""
     check_writable(path, SUFFIXES)
     file = Replacement(path)
     try:
@@ -273,7 +277,7 @@ def _save(stream: Any, path: Path) -> Replacement:
 
 
 def _start_viewer(stream: Any) -> None:
-    """Send to a viewer that is started and outlives this program."""
+    """Start a viewer, and send a stream to it. The viewer stays open after the program ends."""
     has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform.startswith("linux") and not has_display:
         raise OSError(
@@ -285,12 +289,13 @@ def _start_viewer(stream: Any) -> None:
 
 
 def _connect(stream: Any, url: str) -> None:
-    """Send to the viewer at a URL."""
+    """Send a stream to the viewer at a URL."""
     parts = urlsplit(url)
     if not parts.hostname or parts.path != "/proxy":
         raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
     address = (parts.hostname, parts.port or DEFAULT_PORT)
-    # without a viewer the SDK would wait for seconds, and print lines of its own
+    # Try to connect first: without a viewer, the SDK would wait for seconds, and print lines of its
+    # own.
     try:
         socket.create_connection(address, timeout=PATIENCE_S).close()
     except OSError:
@@ -316,7 +321,8 @@ def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
 
     Windows follow each other from `origin_us`. Pictures are due every `step_us` from a window's
     start, and at its end, so that the last picture of a window shows all of it. If a window is
-    shorter than a step, pictures are due at the end of as many whole windows as a step needs.
+    shorter than a step, a picture is due only at the end of every n-th window. Here n is the
+    smallest number of windows that last as long as a step.
 
     Parameters
     ----------
@@ -335,4 +341,5 @@ def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
         window_us = n_windows * window_us
         step_us = window_us
     start_us = t_us - (t_us - origin_us) % window_us
-    return min(start_us + ((t_us - start_us) // step_us + 1) * step_us, start_us + window_us)
+    n_steps = (t_us - start_us) // step_us + 1
+    return min(start_us + n_steps * step_us, start_us + window_us)

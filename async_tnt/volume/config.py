@@ -33,7 +33,7 @@ IMAGE_BINS: dict[str, int] = {
     "mean_time": 1,
     "time_surface": 1,
 }
-"""Channels of one polarity that an image has."""
+"""Representation -> how many channels the image has for one polarity."""
 TIME_IMAGES: tuple[str, ...] = ("count_time", "mean_time", "time_surface")
 """Images that hold times of events."""
 
@@ -90,7 +90,7 @@ class TNTConfig:
         `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel),
-        `count_time` (events per pixel, and the time of the newest one as a fraction of the window),
+        `count_time` (events per pixel, and the newest event's time as a fraction of the window),
         `mean_time` (the mean time), or `time_surface` (exp(-age / tau) of the newest event at the
         window's end, where tau is half a window). With `split` polarity the channels of ON come
         first, then the channels of OFF. Images of times (all but `count`) take no transform, and no
@@ -136,7 +136,7 @@ class TNTConfig:
         window_events: int | None = None,
         representation: Representation = "volume",
     ) -> None:
-        # written here, not by `dataclass`: four fields are never None, but their arguments may be
+        # `dataclass` cannot write this method: four arguments may be None, their fields may not
         _one_of("representation", representation, REPRESENTATIONS)
         is_image = representation != "volume"
         if bins is None:
@@ -207,7 +207,7 @@ class TNTConfig:
 
     @property
     def channels(self) -> int:
-        """C: B, or 2 B with `split` polarity."""
+        """C, the number of channels: B, or 2 B with `split` polarity."""
         return self.bins * (2 if self.polarity == "split" else 1)
 
     @property

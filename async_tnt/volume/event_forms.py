@@ -169,7 +169,7 @@ def _whole_numbers(field: str, column: np.ndarray) -> np.ndarray:
     # from this number on, floats may have been rounded
     exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)
     fits = (np.rint(column) == column) & (np.abs(column) < exact)
-    if not fits.all():  # nan fits neither
+    if not fits.all():  # nan never fits
         i = int(np.argmin(fits))
         raise ValueError(
             f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got "
@@ -189,10 +189,10 @@ def check_order(name: str, order: Any) -> None:
 
 
 def likely_order(table: np.ndarray, order: str) -> str:
-    """The likely order of a table's columns.
+    """The likely order of a table's columns: `order`, or another order with better signs.
 
-    The answer is `order`, unless neither of two signs speaks for `order` and both speak for another
-    order. `_signs` says what the signs are.
+    Two signs can speak for an order, see `_signs`. Another order is returned only if no sign speaks
+    for `order` and both signs speak for the other one.
 
     Parameters
     ----------
@@ -285,8 +285,8 @@ def _as_column(field: str, values: Any) -> np.ndarray:
         ) from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
-    # NumPy makes floats of Python integers if one is beyond int64. As objects they keep their
-    # values: the decoder names the one that does not fit.
+    # NumPy makes floats of Python integers if one of them is beyond int64. As objects they keep
+    # their values: the decoder names the number that does not fit.
     may_be_integers = column.dtype.kind == "f" and isinstance(values, (list, tuple))
     if may_be_integers and all(type(value) is int for value in values):
         return np.array(values, object)
@@ -311,7 +311,8 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
             f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds"
         )
 
-    # microseconds = count * factor / divisor, for dates in months and years at most
+    # microseconds = count * factor / divisor. Months and years are taken as long as they can be:
+    # for them, this only decides whether the microseconds fit into int64.
     unit_as = CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit]
     step_as = multiple * unit_as
     common = math.gcd(step_as, UNITS_AS["us"])

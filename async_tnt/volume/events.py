@@ -27,8 +27,8 @@ from async_tnt.kernels.volume.records import (
 from async_tnt.volume.event_forms import NAMES, named_columns
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""How this package writes events: t in microseconds; x, y in pixels from the top left; p is 1 for
-ON, 0 for OFF."""
+"""The type in which this package writes events: t in microseconds; x, y in pixels from the top
+left; p is 1 for ON, 0 for OFF."""
 ANY_SENSOR = (1 << 16, 1 << 16)
 """A sensor with every pixel that uint16 can hold."""
 
@@ -183,7 +183,7 @@ class EventDecoder:
         None if the records need a closer look.
         """
         dtype = events.dtype
-        # fields can be renamed in place
+        # the names are compared, too: fields can be renamed in place
         if dtype is not self._dtype or dtype.names is not self._names:
             self._dtype = dtype
             self._names = dtype.names
@@ -217,8 +217,8 @@ class EventDecoder:
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
-        # All four are compared here: Numba's dispatch should refuse the other byte order, but once
-        # it took an empty column of it.
+        # All four types are compared here: Numba's dispatch should refuse a column of the other
+        # byte order, but once it took such a column, which was empty.
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
         width, height = self.sensor
@@ -257,9 +257,10 @@ class EventDecoder:
             return columns
         kept = ~late
         n = columns.n
-        return Columns(
-            t[kept], columns.x[:n][kept], columns.y[:n][kept], columns.p[:n][kept], n - n_late
-        )
+        x = columns.x[:n][kept]
+        y = columns.y[:n][kept]
+        p = columns.p[:n][kept]
+        return Columns(t[kept], x, y, p, n - n_late)
 
 
 def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
@@ -273,7 +274,7 @@ def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Colum
 def checked_columns(
     t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = ""
 ) -> Columns:
-    """`Columns` of four columns of any integer type, once these are checked.
+    """Checked `Columns`, made from four columns of any integer type.
 
     Parameters
     ----------

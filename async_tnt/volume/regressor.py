@@ -16,7 +16,10 @@ Regressor = Callable[[np.ndarray], Any]
 
 
 def check_regressor(config: TNTConfig, regressor: Any) -> None:
-    """Raise unless there is a regressor if and only if the configuration needs one."""
+    """Refuse a stream without the regressor that it needs, or with a regressor that it does not.
+
+    The configuration says whether a regressor is needed.
+    """
     if not isinstance(config, TNTConfig):
         has_one = isinstance(getattr(config, "config", None), TNTConfig)
         hint = "pass its `config`" if has_one else "load_model(name).config is that of a model"

@@ -79,7 +79,7 @@ class ReplayBuffer:
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Store the events `first <= i < last` up to the volume's limit.
 
-        Returns the first one not stored.
+        Returns the index of the first event that is not stored.
         """
         n_before = _n_events(buffer)
         if n_before + last - first > self._columns.t.size:
@@ -138,7 +138,7 @@ class ReplayBuffer:
         buffer, array : the volume's buffer and its array, see
             `kernels.volume.readout.empty_volume`.
         """
-        # late events may have changed a window without events
+        # all events that came may have been late: then the window has no events to replay
         if not self._is_replayed and _n_events(buffer):
             self._replay(buffer, array)
 
@@ -155,7 +155,7 @@ class ReplayBuffer:
         saved = ints[: S.NUM_X].copy()
         try:
             empty_volume.call(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
-            # the counts go on from where the window began
+            # the replay counts again, from the counts that the window began with
             ints[S.CLOSED_KEPT] = saved[S.CLOSED_KEPT]
             ints[S.CLOSED_TAU_ZERO] = saved[S.CLOSED_TAU_ZERO]
             ints[S.KEPT] = saved[S.CLOSED_KEPT]
@@ -170,11 +170,11 @@ class ReplayBuffer:
         self._is_replayed = True
 
     def _fix_landmark(self, buffer: np.ndarray) -> None:
-        """Let the volume's kernels use the landmark of the newest event."""
+        """Write the landmark of the newest event into the buffer, where the kernels read it."""
         if self._landmark is None:
             self._landmark = self._estimate(buffer)
         if self._regressor is None:
-            # The landmark's grid pixels are rounded, so they are not converted back.
+            # not converted back from the landmark's grid pixels, which are rounded
             x, y = _centroid(buffer)
         else:
             x, y = self._config.to_sensor(*self._landmark)
@@ -182,7 +182,7 @@ class ReplayBuffer:
         buffer[S.FIXED_Y] = y
 
     def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """Bring the window's counts up to date, before it is emptied."""
+        """Bring the window's counts up to date before the window is emptied."""
         self.run(buffer, array)
         self._landmark = None
 

@@ -92,7 +92,7 @@ class TNTVolume:
         # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
-        # From now on this volume differs from the one that it was copied from.
+        # From now on this volume and its original differ: they need different numbers.
         self._ints[S.EPOCH] = next_epoch()
 
     def __copy__(self) -> TNTVolume:
@@ -169,7 +169,7 @@ class TNTVolume:
         `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
         or -1 or +1.
         """
-        # the lines of `absorb_one`, a call of which would cost another 40 ns
+        # the lines of the method `absorb_one`: a call of this method would cost another 40 ns
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
             if (
@@ -354,7 +354,7 @@ class TNTVolume:
 
     @property
     def n_received(self) -> int:
-        """Events that came to the kernels, late ones too."""
+        """Events that came to the kernels, also late events."""
         return int(self._ints[S.RECEIVED])
 
     @property

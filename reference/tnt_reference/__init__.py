@@ -1,7 +1,7 @@
 """Batch definitions of what `async_tnt` computes event by event: short, in torch, differentiable.
 
-Nothing here imports anything of `async_tnt`, or shares code with it: the two are compared with each
-other. Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the
+This package does not import `async_tnt`, and shares no code with it: tests compare the results of
+the two. Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the
 Temporal Normalization Transform), then `networks.py`. Independent of these: `images.py`, `hats.py`,
 `motion.py`, `moving_image.py`, `objects.py`.
 """

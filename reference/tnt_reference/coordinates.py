@@ -1,8 +1,8 @@
 """Where an event lies: in the grid, in time, in the window. One function per equation.
 
 Everything is float64, and on the CPU every function performs exactly the operations of its
-equation, in that order. The streaming kernels do the same ones, so that "is this event inside the
-border?" has one answer.
+equation, in that order. The streaming kernels perform the same operations, so both agree on whether
+an event lies inside the border.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import torch
 from .window import Column, check_polarity, check_size, signs, whole_pixels, window_events
 
 RADIUS = 3
-"""Pixels about an event, in each direction, that a histogram shows."""
+"""How many pixels a histogram reaches from its event in each direction."""
 
 
 def hats(
@@ -23,9 +23,9 @@ def hats(
     polarity: str = "split",
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """How many earlier events of its cell an event has at each place about it.
+    """The mean histogram of the events of each cell of a grid.
 
-    This is the mean over the events of each cell of a grid.
+    The histogram of an event counts, at each place around it, the earlier events of its cell.
 
         T_i(z)  = #{j < i : x_j = x_i + z, p_j = p_i, j and i in the same cell}    z in {-3..3}^2
         h(z, p) = 1 / |C| sum_{i in C, p_i = p} T_i(z)

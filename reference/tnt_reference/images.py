@@ -8,7 +8,7 @@ from .coordinates import to_grid, window_fraction
 from .window import Column, check_polarity, check_size, signs, whole_pixels, window_events
 
 WEIGHT_TOLERANCE = 1e-9
-"""Smaller weights are the rounding of a place, and count as 0."""
+"""A smaller weight comes from the rounding of an event's place, and counts as 0."""
 
 
 def count_image(
@@ -58,14 +58,14 @@ def count_timestamp_image(
     sensor: tuple[int, int],
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """The four channels of EV-FlowNet: counts ON and OFF, time of the newest event ON and OFF.
+    """The four channels of EV-FlowNet: counts of ON and OFF events, times of their newest events.
 
         I[c, y, x]     = #{i : x_i = x, y_i = y, p_i = 1 - c}          c = 0: ON, c = 1: OFF
         I[2 + c, y, x] = max {f_i : x_i = x, y_i = y, p_i = 1 - c}
         f_i            = (t_i - start_us) / window_us
 
-    over the events with 0 <= f_i < 1. Here, as an exception, the window is half-open, like that of
-    a stream. The time of a pixel without events is 0.
+    over the events with 0 <= f_i < 1. Here, as an exception, the window is half-open, like the
+    windows of a stream. The time of a pixel without events is 0.
 
     Parameters
     ----------
@@ -96,7 +96,8 @@ def count_timestamp_image(
     f = f[inside]  # (M,)
     image = torch.zeros(4, sensor[1], sensor[0], dtype=torch.float64)
     image.index_put_((channel, row, column), torch.ones_like(f), accumulate=True)
-    pixel = ((2 + channel) * sensor[1] + row) * sensor[0] + column  # (M,)
+    # (M,), indices in the flat image
+    pixel = ((2 + channel) * sensor[1] + row) * sensor[0] + column
     image.view(-1).scatter_reduce_(0, pixel, f, "amax")
     return image.to(dtype)
 
@@ -179,7 +180,8 @@ def time_image(
         elif representation == "mean_time":
             channels += [mean]
         else:
-            channels += [torch.where(count > 0, torch.exp(-2 * (1 - newest)), 0.0)]
+            surface = torch.exp(-2 * (1 - newest))  # 2 = window / tau
+            channels += [torch.where(count > 0, surface, 0.0)]
     return torch.stack(channels).to(dtype)
 
 

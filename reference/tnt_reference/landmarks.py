@@ -16,7 +16,7 @@ from .window import Column, check_size, window_events
 
 LANDMARKS = ("center", "running", "line", "window")
 
-# `line` holds so many prefixes x events at once: 512 KiB an array, which fits in caches.
+# The most numbers in an array of `prefix_lines`, prefixes times events: 512 KiB fit in caches.
 _CHUNK_CELLS = 1 << 16
 
 
@@ -145,7 +145,7 @@ def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, t
     """
     means = prefix_means(pixels)  # (M, 2)
     mean_fs = prefix_means(f[:, None])  # (M, 1)
-    # The lists begin with an empty part, so that no events give (0, 2).
+    # The lists begin with an empty part, so that the results for no events have the shape (0, 2).
     intercepts = [means[:0]]
     slopes = [means[:0]]
 
@@ -158,8 +158,8 @@ def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, t
         df = f[:last] - mean_f  # (R, K)
         df[:, first:].tril_()  # 0 for events after the prefix
         c_ff = (df * df).sum(1)  # (R,)
-        # A row of df adds up to 0, so any one point may be taken off each pixel. A near one avoids
-        # cancellation.
+        # A row of df adds up to 0, so the same point may be subtracted from all pixels. A point
+        # near them avoids cancellation.
         c_xf = df @ (pixels[:last] - means[last - 1])  # (R, 2)
         m = c_xf / (c_ff + 1)[:, None]  # (R, 2)
         slopes.append(m)

@@ -2,7 +2,7 @@
 
 A layer is a mapping with `op`, `name`, `inputs` (names of earlier layers, or "volume") and the
 parameters of its op; `weights` maps roles to names of tensors. The last layer's value is the
-network's. The ops are those of the table `OPERATIONS` at the end.
+network's value. The table `OPERATIONS` at the end lists the ops.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ Weights = Mapping[str, torch.Tensor]
 
 
 class LayerNetwork(nn.Module):
-    """Volumes (N, C, H, W) to the value of the last layer, (N, ...).
+    """A module that computes the last layer's value, (N, ...), from volumes (N, C, H, W).
 
     Parameters
     ----------
-    layers : see above.
-    tensors : name -> weights, parameters of this module. Means and variances of batch_norm are not
-        trained.
+    layers : the layers in the form that the module's docstring describes.
+    tensors : name -> weights. They become parameters of this module. The means and variances of
+        batch_norm are not trained.
 
     Raises
     ------
@@ -65,13 +65,17 @@ class LayerNetwork(nn.Module):
 
 def _conv(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     top, left, bottom, right = layer["padding"]
-    is_symmetric = (top, left) == (bottom, right)  # torch pads these by itself, without a copy
+    if (top, left) == (bottom, right):
+        padding = (top, left)  # torch adds a symmetric padding by itself, without a copy
+    else:
+        x = _padded(layer, x)
+        padding = (0, 0)
     return F.conv2d(
-        x if is_symmetric else _padded(layer, x),
+        x,
         weights["weight"],
         weights.get("bias"),
         stride=layer["stride"],
-        padding=(top, left) if is_symmetric else 0,
+        padding=padding,
         dilation=layer["dilation"],
         groups=layer["groups"],
     )
@@ -131,7 +135,9 @@ def _function(of: Callable[[torch.Tensor], torch.Tensor]) -> Operation:
 
 def _padded(layer: Layer, x: torch.Tensor, value: float = 0.0) -> torch.Tensor:
     top, left, bottom, right = layer["padding"]
-    return F.pad(x, (left, right, top, bottom), value=value) if any(layer["padding"]) else x
+    if not any(layer["padding"]):
+        return x
+    return F.pad(x, (left, right, top, bottom), value=value)
 
 
 def _max_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
@@ -147,7 +153,7 @@ def _sum_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
 
 
 def _inside_average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
-    """The sum over each window, by how many of its places lie inside."""
+    """The sum over each window, divided by the number of its places inside the input."""
     return _sum_pool(layer, weights, x) / _sum_pool(layer, weights, torch.ones_like(x))
 
 
@@ -179,7 +185,9 @@ def _flatten(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
 
 
 def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
-    """The mean place of a heatmap exp(e): `exponent` e, (N, 1, H, W), to (N, 2), float64 (x, y).
+    """The mean place (x, y) of each heatmap exp(e), float64, shape (N, 2).
+
+    The exponents e have the shape (N, 1, H, W).
 
     l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])
     """
@@ -197,7 +205,7 @@ def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
 
 
 Operation = Callable[..., torch.Tensor]
-"""Layer, its weights, its inputs; returns its value."""
+"""Layer, its weights, its inputs; returns the layer's value."""
 
 OPERATIONS: dict[str, Operation] = {
     "conv": _conv,
@@ -228,4 +236,4 @@ OPERATIONS: dict[str, Operation] = {
     "flatten": _flatten,
     "heatmap_centroid": _function(heatmap_centroid),
 }
-"""Op -> what it computes."""
+"""Op -> the function that computes it."""

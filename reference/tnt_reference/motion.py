@@ -19,7 +19,7 @@ def move_by_flow(
     start_us: int,
     window_us: int,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Move events by a constant flow:
+    """The pixels x and y of events that a constant flow has moved.
 
     L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
 
@@ -29,7 +29,7 @@ def move_by_flow(
     x, y : (N,) pixels, whole or not.
     flow : v = (v_x, v_y) in pixels per window; a tensor that requires a gradient gets one, as do t,
         x and y.
-    start_us, window_us : the time at which f is 0, and how much later it is 1.
+    start_us, window_us : f is 0 at the time `start_us`, and 1 at `start_us + window_us`.
 
     Returns
     -------

@@ -1,8 +1,9 @@
 """One image that moves over a sensor: the evidence for its path, and the cost of an image.
 
-L is the image of log luminance at the window's start, in units of the pixels' thresholds. r_k is
-its displacement at the end of the k-th of K equal parts of the window. The events up to then sum up
-to
+L is the image of log luminance at the window's start, in units of the pixels' thresholds. The
+window has K equal parts. r_k is the displacement of the image at the end of the k-th part. The
+events until then, added up at each pixel, are c_k. With noise e_k, which is independent from pixel
+to pixel:
 
     c_k           = (S(r_k) - 1) L + e_k
     cov(e_k, e_m) = V_km 1
@@ -68,7 +69,7 @@ def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
 
 
 def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
-    """A, (K R C, R C): from an image, row by row, to all c_k without noise.
+    """A, (K R C, R C): the matrix from an image, taken row by row, to all c_k without noise.
 
     `path` is (K, 2), with columns x and y.
     """
@@ -158,7 +159,7 @@ def difference_matrix(shape: tuple[int, int]) -> torch.Tensor:
 
 
 def _log_density(c: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
-    """The log density of a Gaussian with mean 0, up to the constant that all share."""
+    """The log density at c of a Gaussian with mean 0, without its constant log(2 pi) term."""
     factor = torch.linalg.cholesky(covariance)
     white = torch.linalg.solve_triangular(factor, c[:, None], upper=False)[:, 0]
     likelihood: torch.Tensor = -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()

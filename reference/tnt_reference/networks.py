@@ -77,12 +77,13 @@ class LandmarkRegressor(nn.Module):
         h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))   non-negative, (H, W)
         l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]             in pixels of the whole image
 
-    The thesis does not say how its heatmap is kept non-negative, nor how the network starts; both
-    are our choice. `exp` makes the centroid the expectation under a softmax over all pixels: it can
-    be as sharp as training makes it. The 1x1 convolution starts at zero, so that h = 1 everywhere
-    and the first landmark is exactly the image centre, whatever the events. Therefore only the 1x1
-    convolution has a gradient at the first step; from the second step on, all layers have one. The
-    1x1 convolution has no bias: a constant added to the exponent leaves the centroid as it is.
+    The thesis does not say how its heatmap is kept non-negative, nor with which weights the network
+    starts; both are our choice. With `exp`, the centroid is the expectation under a softmax over
+    all pixels, which training can make as sharp as it needs. The 1x1 convolution starts at zero: h
+    is 1 everywhere, and the first landmark is exactly the image centre for all events. Therefore
+    only the 1x1 convolution has a gradient at the first step; from the second step on, all layers
+    have a gradient. The 1x1 convolution has no bias: a constant added to the exponent does not
+    change the centroid.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ class LandmarkRegressor(nn.Module):
 
 
 class Pipeline(nn.Module):
-    """The events of one window to logits: landmark, transform, volume, classifier.
+    """A module from the events of one window to logits: landmark, transform, volume, classifier.
 
     A window is given by the columns `t`, `x`, `y`, `p` of its N events and by its start,
     `start_us`.
@@ -128,7 +129,7 @@ class Pipeline(nn.Module):
     Parameters
     ----------
     classifier : a module from (N, C, H, W) to (N, n_classes); `Classifier` or your own.
-    sensor, grid : (width, height); the grid is the sensor's where it is not given.
+    sensor, grid : (width, height); by default the grid has the size of the sensor.
     window_us : the window's length; None: each window ends with its newest event, as in the thesis.
     bins, t_max, polarity, remove_flow : see `tnt_volume`.
     landmark : "center", "running", "line", "window"; or "regressor".
@@ -142,7 +143,7 @@ class Pipeline(nn.Module):
 
     Raises
     ------
-    ValueError, TypeError : the settings do not fit together; (when called) the events are invalid.
+    ValueError, TypeError : the settings do not fit together; or, in a call, the events are invalid.
     """
 
     def __init__(
@@ -181,7 +182,7 @@ class Pipeline(nn.Module):
         self._check_networks()
 
     def _check_transform(self) -> None:
-        """Transform no events: every remaining setting is checked where it is used."""
+        """Check the remaining settings: the transform of no events raises their errors."""
         tnt_coordinates(
             [],
             [],
@@ -306,7 +307,7 @@ def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
 
 
 def check_volume_shape(volume: torch.Tensor, channels: int, grid: tuple[int, int]) -> None:
-    """Refuse a volume of other channels or sides."""
+    """Refuse a volume with another number of channels, or with other sides."""
     expected = (channels, grid[1], grid[0])
     if volume.ndim not in (3, 4) or tuple(volume.shape[-3:]) != expected:
         raise ValueError(

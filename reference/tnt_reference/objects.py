@@ -1,7 +1,7 @@
 """Objects on a map of logits, and their numbers over time.
 
-An object is a peak of the difference between the logit of the likeliest class and the logit of
-"nothing".
+An object is a peak of the difference between the logit of the likeliest class and the logit of "no
+object here", which is the last channel.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 
 class FoundObject(NamedTuple):
-    """An object: the number of its class, its probability, and its place on the map.
+    """An object: the index of its class, its probability, and its place on the map.
 
     The place is given in columns and rows.
     """
@@ -38,7 +38,7 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
 
     Parameters
     ----------
-    logits : (K + 1, R, C); the last channel stands for nothing.
+    logits : (K + 1, R, C): a channel for each class, then one for "no object here".
     near : number of rows and of columns around an object in which there is no other object.
 
     Example
@@ -75,9 +75,9 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
 class _Seen(NamedTuple):
     """An object of an earlier decision.
 
-    number : its number.
-    x, y, time_us : where and when it was seen last.
-    decision : the decision that saw it, counted from 0.
+    number : the object's number.
+    x, y, time_us : where and when the object was seen last.
+    decision : the last decision that saw the object, counted from 0.
     rank : how many objects of that decision were likelier.
     """
 
@@ -99,18 +99,19 @@ class ObjectNumbers:
 
         ((x - x') / reach_x)^2 + ((y - y') / reach_y)^2 < 1    and    time - time' <= memory_us
 
-    If there is no such object, it gets a new number. If several are equally near, the one that a
-    later decision has seen comes first, and then the likelier one.
+    If there is no such object, the object gets a new number. Among known objects that are equally
+    near, it takes the number of the one seen by the latest decision and, within that decision, of
+    the likeliest one.
 
-    After a decision, its `most` likeliest objects are known. Earlier objects are added, first the
-    ones that a later decision has seen, until `room` objects are known.
+    After a decision, its `most` likeliest objects are known. Objects of earlier decisions are
+    added, those of the latest decision first, until `room` objects are known.
 
     Parameters
     ----------
     reach : (x, y), in pixels.
     memory_us : how long an object that is not found again is known.
-    most : how many objects of a decision, the likeliest ones, may have the number of an earlier
-        one.
+    most : how many objects of a decision, from the likeliest on, may take the number of a known
+        object.
     room : how many objects are known at a time.
 
     Example
@@ -151,7 +152,7 @@ class ObjectNumbers:
         return [seen.number for seen in present]
 
     def _preference(self, seen: _Seen, x: float, y: float) -> tuple[float, int, int]:
-        """An object at (x, y) takes the number of the known object for which this is lowest."""
+        """A key of a known object: an object at (x, y) takes the number with the lowest key."""
         return self._distance(seen, x, y), -seen.decision, seen.rank
 
     def _distance(self, seen: _Seen, x: float, y: float) -> float:

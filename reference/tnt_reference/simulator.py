@@ -1,7 +1,7 @@
 """The events of an event camera's pixel, made from its log luminance.
 
-It is written out in pure Python, pixel by pixel. Between two frames the log luminance L of a pixel
-runs in a straight line. With the reference level R:
+The model is written out in pure Python, pixel by pixel. Between two frames the log luminance L of a
+pixel changes along a straight line. With the reference level R:
 
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
@@ -65,8 +65,8 @@ def low_pass(
 ) -> list[float]:
     """The smoothed log luminance y that a pixel follows: y' = 2 pi f (L - y).
 
-    It is computed by backward differences from frame to frame. The corner frequency f is in
-    proportion to the luminance, down to the luminance `darkest`.
+    The corner frequency is f = brightest_hz max(exp(L), darkest): it grows with the luminance. The
+    equation is solved by backward differences from frame to frame.
     """
     followed = [float(light[0])]
     for (t0, _), (t1, now) in pairwise(zip(times_us, light, strict=True)):
@@ -87,7 +87,7 @@ def pixel(
     """Events (t, p) of one pixel with log luminance `light` at `times`, in order of time."""
     events = []
     blind_until = times[0]
-    waking = False
+    waking = False  # whether the level must be set to the light at `blind_until`
     for (t0, t1), (l0, l1) in zip(pairwise(times), pairwise(light), strict=True):
         now = t0
         light_now = l0
@@ -120,11 +120,11 @@ def _next_crossing(
     upper: float,
     lower: float,
 ) -> tuple[float, float, int] | None:
-    """Time, log luminance and polarity where the light first reaches `upper` or `lower`.
+    """Time, log luminance and polarity of the event where the light reaches `upper` or `lower`.
 
     None if the light reaches neither of them until t1.
     """
-    # The light may be past a level already, but only if the level started far from the light.
+    # The light can be past a threshold already only if the first level was far from the light.
     if light_now >= upper:
         return now, light_now, 1
     if light_now <= lower:

@@ -13,7 +13,7 @@ from .coordinates import image_centre, tnt_time, to_grid, window_fraction
 from .window import Column, check_size, window_events
 
 BORDER_TOLERANCE = 1e-9
-"""Pixels beyond the border that count as on it."""
+"""How many pixels beyond the border an event may lie and still count as on the border."""
 
 
 class TNTCoordinates(NamedTuple):
@@ -42,7 +42,7 @@ def tnt_coordinates(
 ) -> TNTCoordinates:
     """Transformed position of each event, and whether the event is kept.
 
-        u_i = (x_i - l_x) / tau_i + c_x                    v_i likewise with y
+        u_i = (x_i - l_x) / tau_i + c_x                    v_i in the same way with y
         u_i = ((x_i - l_x) - m_x f_i) / tau_i + c_x        with remove_flow
 
         kept  iff  tau_i > 0  and  0 <= u_i <= W - 1  and  0 <= v_i <= H - 1

@@ -175,9 +175,9 @@ def splat(
     points = torch.stack([b, v, u], dim=1)  # (M, 3)
     lower = points.detach().floor()  # (M, 3); floor, since int() would round a negative up
     k_upper = points - lower  # (M, 3), k of the upper neighbour
-    # Written as a difference, so that each pair's derivatives sum to 0 on whole numbers too.
+    # It is written as a difference, so that the two derivatives sum to 0 also at whole numbers.
     k_lower = 1 - k_upper  # (M, 3)
-    # One cell more on each upper side: the last pixel has an upper neighbour as well, of weight 0.
+    # Each axis has one cell more: the last pixel, too, has an upper neighbour, with the weight 0.
     volume = torch.zeros([n + 1 for n in shape], dtype=torch.float64, device=points.device)
     for corner in product((0, 1), repeat=3):
         upper = torch.tensor(corner, device=points.device)  # (3,)

@@ -15,7 +15,7 @@ POLARITIES = ("signed", "unsigned", "split")
 
 
 class WindowEvents(NamedTuple):
-    """All N events given, in their order, and which of them belong to the window."""
+    """All N given events in their order, and which of them belong to the window."""
 
     dt: torch.Tensor
     """(N,) float64: microseconds since the window's start, from an exact difference."""
@@ -28,7 +28,7 @@ class WindowEvents(NamedTuple):
 def window_events(
     t: Column, x: Column, y: Column, *, start_us: int, window_us: int, sensor: tuple[int, int]
 ) -> WindowEvents:
-    """Check the columns and subtract the window's start.
+    """The events of a window: the columns are checked, and the window's start is subtracted.
 
     Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds
     after 16.8 s. The window is closed at its right end, so that the thesis' own form, with
@@ -66,9 +66,9 @@ def window_events(
 
 
 def whole_pixels(events: WindowEvents) -> torch.Tensor:
-    """The events' pixels, (N, 2) int64, for what counts events per pixel.
+    """The events' pixels, (N, 2) int64, for functions that count events per pixel.
 
-    Floats are refused.
+    Columns of floats are refused.
     """
     if len(events.dt) and events.pixels.is_floating_point():
         raise TypeError(
@@ -78,17 +78,17 @@ def whole_pixels(events: WindowEvents) -> torch.Tensor:
 
 
 def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[torch.Tensor]:
-    """A stream in windows of n events.
+    """The windows of n events that a stream is divided into.
 
-    In order of arrival, a window begins with an event. It ends with its n-th event, or before an
-    event that is `window_us` or more after its first. An event older than the first one of its
-    window belongs to no window.
+    Events are taken in order of arrival. A window begins with an event. It ends with its n-th
+    event, or before an event that is `window_us` or more later than the window's first event. An
+    event older than the first event of its window belongs to no window.
 
     Parameters
     ----------
     t : (N,) integer microseconds.
-    n : events of a window, at least 1.
-    window_us : the longest that a window may last; None: any time.
+    n : number of events in a window, at least 1.
+    window_us : the longest duration of a window; None: any duration.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
 
 
 def until_newest(t: Column, start_us: int) -> int:
-    """The length of a window from `start_us` to its newest time: max(t) - start_us, at least 1.
+    """The length of a window from `start_us` to its newest event: max(t) - start_us, at least 1.
 
     Example
     -------
@@ -142,7 +142,7 @@ def signs(p: Column, n_events: int) -> torch.Tensor:
 
 
 def as_column(name: str, values: Column) -> torch.Tensor:
-    """One column as a 1-D tensor: int64, or the floating-point type that it has."""
+    """One column as a 1-D tensor: int64, or the floating-point type that the column has."""
     if isinstance(values, torch.Tensor):
         column = values
     elif hasattr(values, "__array__"):
@@ -193,7 +193,7 @@ def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int
 
 
 def check_polarity(polarity: str) -> None:
-    """Raise a ValueError if there is no such polarity."""
+    """Raise a ValueError if `polarity` is not one of `POLARITIES`."""
     if polarity not in POLARITIES:
         raise ValueError(f"`polarity` must be one of {', '.join(POLARITIES)}, got {polarity!r}")
 

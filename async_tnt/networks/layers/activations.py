@@ -1,4 +1,4 @@
-"""Functions of each number by itself."""
+"""Activations: functions that are applied to each number by itself."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _clip_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
 
 
 def _softshrink_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """x - clip(x, -lambda, lambda): exactly 0 between the two."""
+    """Add x - clip(x, -lambda, lambda), which is exactly 0 between -lambda and lambda."""
     (source,) = inputs
     limited = made.copy(source, source.like())
     step = limited.writers[0]

@@ -9,14 +9,14 @@ import numpy as np
 from async_tnt.base.messages import one_line
 
 TOLERANCE = 1e-4
-"""The largest difference that is accepted, as a share of the largest number."""
+"""The largest difference that is accepted, as a share of a volume's largest number."""
 
 Function = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> numbers."""
 
 
 def expect_form(condition: bool, what: str) -> None:
-    """Refuse what a network of another program does, and this package cannot do, by its name."""
+    """Raise a NotImplementedError that `what` has no compiled form, unless `condition` holds."""
     if not condition:
         raise NotImplementedError(f"{what} has no compiled form")
 
@@ -31,7 +31,7 @@ def compare(
     shape : shape of a volume, (C, H, W).
     tolerance : how much numbers may differ, as a share of the largest number for the same volume. A
         volume's largest number counts as at least 0.01, and as at least 1 % of the largest number
-        for any volume: smaller ones make no difference to a softmax.
+        for any volume: smaller logits make no difference to a softmax.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def _numbers_of_both(
 
 
 def _largest_finite(numbers: np.ndarray) -> float:
-    """The largest size of a finite number; 0 if there is none."""
+    """The largest absolute value of the finite numbers; 0 if no number is finite."""
     finite = numbers[np.isfinite(numbers)]
     return float(np.abs(finite).max(initial=0.0))
 

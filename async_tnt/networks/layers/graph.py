@@ -2,17 +2,16 @@
 
     {"classifier": [layer, ...], "regressor": [layer, ...]}
 
-The regressor is there where the configuration needs one. A layer is an object with `op`, `name`,
-`inputs`, the parameters of its operation, and `weights` where the operation has some. Inputs are
-names of earlier layers, or "volume", the network's input (C, H, W). The last layer is the network's
+The regressor is present if the configuration needs one. A layer is an object with `op`, `name`,
+`inputs`, the parameters of its operation, and `weights` if the operation has some. Inputs are names
+of earlier layers, or "volume", the network's input (C, H, W). The last layer is the network's
 output. `weights` maps each role to the name of a tensor in the file; a role that the operation does
 not need may be missing. Sides are [y, x], paddings [top, left, bottom, right].
 
 The operations, with their parameters and roles, are those of the table `OPERATIONS` in
 `networks/layers/operations.py`; `python -m pydoc async_tnt.networks.layers.operations` lists them.
-Every parameter is written, so readers need no defaults. An
-operation that is not in the table may be written in the same format: a release that cannot run it
-refuses the file.
+Every parameter is written, so readers need no defaults. An operation that is not in the table may
+be written in the same format: a release that cannot run the operation refuses the file.
 """
 
 from __future__ import annotations
@@ -35,23 +34,27 @@ REGRESSOR = "regressor"
 """The name of the network that computes the landmark."""
 
 MAX_NUMBERS = 1 << 28
-"""The most numbers in all maps of a network, with their padding, and in its layers' weights: a
-gigabyte. A kilobyte of layers can ask for any amount. At 640 x 480 ResNet-50 has 2**27.9.
+"""The most numbers in all maps of a network, with their padding, and in its layers' weights.
 
-A program may set this limit and the next one, before it makes or loads a model:
+In float32 this is a gigabyte. A limit is needed because a file with a kilobyte of layers can ask
+for any amount of memory. At 640 x 480 ResNet-50 has 2**27.9 numbers.
+
+A program may set this limit and `MAX_PRODUCTS` before it makes or loads a model:
 `async_tnt.networks.layers.graph.MAX_NUMBERS = 1 << 30`.
 """
 
 MAX_PRODUCTS = 1 << 37
-"""The most multiplications of one pass, where an addition in a pooling counts as 16: some seconds
-on one core. At 640 x 480 VGG16 has 2**36.5."""
+"""The most multiplications of one pass: some seconds on one core.
+
+An addition in a pooling counts as 16 multiplications. At 640 x 480 VGG16 has 2**36.5."""
 
 PRODUCTS_OF_AN_ADDITION = 16
-"""Multiplications that take as long as an addition in a pooling."""
+"""How many multiplications take as long as one addition in a pooling."""
 
 NUMBERS_OF_A_TAP = 100
-"""Numbers that take as much memory as a tap of a window in Python's lists, while a program is
-made. Measured."""
+"""How many float32 numbers take as much memory as one tap of a window while a program is made.
+
+A tap then lies in Python's lists. The number was measured."""
 
 Network = Mapping[str, Sequence[Layer]]
 """CLASSIFIER or REGRESSOR -> layers."""
@@ -60,14 +63,14 @@ Network = Mapping[str, Sequence[Layer]]
 def layer_shapes(
     layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape], *, partial: bool = False
 ) -> dict[str, Shape]:
-    """The shape of what each layer computes, by the layer's name, and the shape of the volume.
+    """Name of a layer -> the shape of its output; also VOLUME -> the shape of the volume.
 
     Parameters
     ----------
     layers : the layers of one network.
     volume : (C, H, W).
     tensors : name -> the shape of weights.
-    partial : whether more layers are to come.
+    partial : whether more layers will follow, so that the last one is not the output.
 
     Raises
     ------
@@ -110,9 +113,9 @@ class _CheckedLayers:
 
     Attributes
     ----------
-    shapes : layer -> the shape of its output. The shape of the volume is there, too.
-    flat_maps : the layers that compute a map of more than one place as a vector. Only a dense layer
-        knows the order of its numbers.
+    shapes : layer -> the shape of its output; also VOLUME -> the shape of the volume.
+    flat_maps : the layers whose output is a map of more than one place, flattened to a vector. Only
+        a dense layer knows the order of its numbers.
     """
 
     def __init__(self, volume: Shape, tensors: Mapping[str, Shape]) -> None:
@@ -159,7 +162,7 @@ class _CheckedLayers:
     def _count_cost(
         self, layer: Layer, operation: Operation, inputs: list[Shape], weights: dict[str, Shape]
     ) -> None:
-        """Add what the layer costs; a ValueError above one of the two limits."""
+        """Add the layer's cost; a ValueError if the sum is above MAX_NUMBERS or MAX_PRODUCTS."""
         output = self.shapes[layer["name"]]
         n_numbers, n_products = _cost(layer, operation, inputs, output, weights)
         self._n_numbers += n_numbers
@@ -176,7 +179,10 @@ class _CheckedLayers:
             )
 
     def _is_flat_map(self, layer: Layer, operation: Operation, inputs: list[Shape]) -> bool:
-        """Whether the layer computes a flattened map; a ValueError if it cannot read one."""
+        """Whether the layer's output is a flattened map.
+
+        A ValueError if the layer has a flattened map as input, but cannot read it.
+        """
         if layer["op"] == "flatten" and len(inputs[0]) == 3:
             channels = inputs[0][:1]
             return self.shapes[layer["name"]] != channels
@@ -193,7 +199,7 @@ def _more_than(name: str, limit: int) -> str:
 
 
 def _check_fields(layer: Layer, operation: Operation) -> None:
-    """Refuse a layer whose fields are not those of its operation, or have a wrong value."""
+    """Refuse a layer with other fields than its operation has, or with a wrong value."""
     expected = {"op", "name", "inputs", *operation.parameters}
     if operation.roles:
         expected.add("weights")
@@ -239,10 +245,10 @@ def _cost(
     output: Shape,
     weights: Mapping[str, Shape],
 ) -> tuple[int, int]:
-    """What a layer adds to the counts that MAX_NUMBERS and MAX_PRODUCTS limit."""
+    """The numbers and the multiplications of a layer, which MAX_NUMBERS and MAX_PRODUCTS limit."""
     source = inputs[0]
     n_numbers = math.prod(output) + sum(map(math.prod, weights.values()))
-    n_products_each = len(inputs)
+    n_products_each = len(inputs)  # for each number of the output
     if "padding" in layer:
         top, left, bottom, right = layer["padding"]
         channels, rows, columns = source
@@ -255,7 +261,7 @@ def _cost(
         n_numbers += NUMBERS_OF_A_TAP * n_taps
         if operation.own_weights:
             n_places = math.prod(output[1:])
-            # for each channel, and 16 in the arrays that they are made from
+            # a tap has a weight for each channel, and 16 numbers in the arrays they are made from
             n_numbers += n_taps * n_places * (output[0] + 16)
     if "weight" in weights:
         n_products_each = math.prod(weights["weight"][1:])

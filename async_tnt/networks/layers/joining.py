@@ -24,7 +24,7 @@ def _depth_to_space_shape(layer: Layer, inputs: list[Shape], weights: dict[str, 
 
 def _depth_to_space_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
-    if len(source.writers) > 1:  # a SPREAD reads the changes of one step
+    if len(source.writers) > 1:  # a SPREAD needs an input that one step computes
         source = made.copy(source, source.like())
     output = made.output_of(layer)
     zeros = np.zeros(output.channels)
@@ -72,7 +72,7 @@ def _centroid_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]
 
 
 def _no_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """The map of the input: whoever reads the output knows what it stands for."""
+    """Add no step: what reads the layer's output reads the map of its input."""
     return inputs[0]
 
 

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 MAX_SIDE = 1 << 15
-"""The sides of a map, and all whole numbers among the parameters of a layer, are below this."""
+"""The limit of the sides of a map, and of the whole numbers among a layer's parameters.
+
+All of them must be below it."""
 
 Layer = Mapping[str, Any]
-"""`op`, `name`, `inputs`, the parameters of the operation, and `weights` where it has some."""
+"""A layer: `op`, `name`, `inputs`, the operation's parameters, and `weights` where it has some."""
 
 Shape = tuple[int, ...]
-"""(C, H, W) of a map, or (N,) of a vector."""
+"""The shape of what a layer computes: (C, H, W) of a map, or (N,) of a vector."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,10 @@ def _whole_numbers(n: int, low: int) -> Check:
 
 
 SIDES = _whole_numbers(2, 1)
-"""[y, x]."""
+"""Two sides, [y, x]."""
 
 PADDING = _whole_numbers(4, 0)
-"""[top, left, bottom, right]."""
+"""Four paddings, [top, left, bottom, right]."""
 
 POSITIVE = Check("a positive whole number", lambda value: _is_whole(value, 1))
 

@@ -1,8 +1,8 @@
 """The steps of the compiled interpreter that a network's layers become.
 
 Batch norms are folded into the step before them, and activations become part of it. A dense layer
-that reads a map becomes three steps, a global average pooling two: what each place adds, the sum of
-each row, the sum of the rows.
+that reads a map becomes three steps: what each place adds, the sum of each row, and the sum of the
+rows. A global average pooling becomes the last two of these steps.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from async_tnt.networks.layers.steps import Map, Step, StepList
 def steps_of(
     layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
 ) -> tuple[list[Step], Map]:
-    """The steps of a network whose layers have been checked, in order, and the map of its output.
+    """The steps of a network in order, and the map of the network's output.
 
-    Steps that nobody needs are left out, and each map has the frame that its readers need. The last
-    layer may be a `heatmap_centroid`, which is no step: then the output is its heatmap.
+    The layers must have been checked. Steps whose results nothing reads are left out. Each map has
+    the frame that its readers need. If the last layer is a `heatmap_centroid`, the output is its
+    heatmap: the centroid itself is no step.
     """
     steps, output = _made_steps(layers, volume, tensors)
     steps = _without_unused(steps, (volume, output))
@@ -51,9 +52,9 @@ def _made_steps(
 
 
 def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
-    """How many layers read the output of a layer, directly or through a flatten.
+    """Layer -> how many layers read its output, directly or through a flatten.
 
-    The network's output has one reader more: the caller.
+    The caller counts as a reader of the network's output.
     """
     origins: dict[str, str] = {}  # flatten -> the layer whose numbers it has
     readers: Counter[str] = Counter()
@@ -71,9 +72,10 @@ def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
 
 
 def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
-    """The steps whose maps are read, or are to be kept.
+    """The steps whose maps are read by a later step or are in `keep`.
 
-    The last rows and columns that no step reads, as a pooling may drop them, are not computed.
+    A pooling may leave the last rows and columns of its input unread. They are not computed if no
+    other step reads them.
     """
     needed: dict[Map, tuple[int, int]] = {}  # map -> how many of its rows and columns are read
     used = []
@@ -112,7 +114,7 @@ def _give_frames(steps: list[Step]) -> None:
 
 
 def _widen(part: Map, frame: Sequence[int]) -> bool:
-    """Make a map's frame as wide as this one; returns whether that changed anything."""
+    """Make a map's frame at least as wide as `frame`; returns whether that changed anything."""
     before = part.frame
     top, left, bottom, right = map(max, before, frame)
     part.frame = (top, left, bottom, right)

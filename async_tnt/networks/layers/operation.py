@@ -1,4 +1,4 @@
-"""What the package knows of an operation that a layer may be."""
+"""The description of an operation that a layer may be: shape, steps, parameters and weights."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from async_tnt.networks.layers.steps import Map, StepList
 ShapeRule = Callable[[Layer, list[Shape], dict[str, Shape]], Shape]
 """Layer, shapes of its inputs, role -> shape of its weights; returns the shape of its output.
 
-It raises a ValueError where these do not fit each other."""
+It raises a ValueError if the layer, its inputs and its weights do not fit each other."""
 
 StepsRule = Callable[[StepList, Layer, list[Map]], Map]
 """Steps so far, layer, its inputs; adds the layer's steps, and returns the map of its output."""
 
 PlacesRule = Callable[[Layer, int, Axis], Axis]
-"""Layer, 0 for rows or 1 for columns, this axis of its first input; returns that of its output."""
+"""Layer, 0 for rows or 1 for columns, this axis of its first input; returns the output's axis."""
 
 KernelRule = Callable[[Layer, Shape, Shape], Sequence[int]]
-"""Layer, shape of its first input, shape of its output; returns how many rows and columns of the
-input a place of the output may depend on, or nothing where it depends on one place."""
+"""Layer, shape of its first input, shape of its output; returns the size of the output's windows.
+
+The size is how many rows and columns of the input a place of the output may depend on. It is empty
+if a place depends on one place only."""
 
 
 def kernel_of(layer: Layer, source: Shape, output: Shape) -> Sequence[int]:
-    """The layer's parameter `kernel`, or nothing where it has none."""
+    """The layer's parameter `kernel`, or an empty tuple if the layer has none."""
     kernel: Sequence[int] = layer.get("kernel", ())
     return kernel
 
@@ -39,17 +41,17 @@ class Operation:
     Parameters
     ----------
     name : the layer's `op`.
-    description : what it computes, in a sentence.
-    shape : the shape of its output.
-    steps : its compiled form.
-    parameters : name -> the rule of its values.
+    description : what the operation computes, in a sentence.
+    shape : the rule of the output's shape.
+    steps : the rule of the compiled steps.
+    parameters : name of a parameter -> the rule of its values.
     roles : role of weights -> whether a layer must have weights in this role.
-    n_inputs : 1, or 2 where it has two or more.
-    flat_maps : what the operation does with a flattened map. Only a dense layer knows the order of
-        its numbers, and reads the map. Another operation refuses the map, or computes each number
-        from the number at the same index, and so keeps the order.
-    places : where the places of its output lie.
-    kernel : how much of its input a place depends on.
+    n_inputs : 1 for one input; 2 for two or more inputs.
+    flat_maps : what the operation does with a flattened map. "read": it knows the order of the
+        map's numbers, as a dense layer does. "kept": it computes each number from the number at the
+        same index, so the order stays. "refused": it must not have such an input.
+    places : the rule that says where the places of the output lie.
+    kernel : the rule that says how much of the input a place of the output depends on.
     own_weights : whether each place has weights of its own, which take memory.
     """
 
@@ -89,7 +91,7 @@ def expect_weights(role: str, shape: Shape, expected: Shape) -> None:
 def sides_through_window(
     layer: Layer, source: Shape, dilation: Sequence[int] = (1, 1)
 ) -> tuple[int, int]:
-    """Rows and columns of the output of a convolution or pooling, whose input has this shape."""
+    """Rows and columns of the output of a convolution or pooling, for an input of this shape."""
     expect_map(source)
     top, left, bottom, right = layer["padding"]
     padded = (source[1] + top + bottom, source[2] + left + right)

@@ -1,10 +1,11 @@
-"""The operations that a layer may be: the one list of them.
+"""The table of all operations that a layer may be.
 
-An operation stands in the table at the end of its module, with its shape and its steps before it.
-Its ways in and out stand in `networks/torch/operations.py` and `networks/onnx/operations.py`, and
-what it means in `tnt_reference.layers`. `python -m pydoc async_tnt.networks.layers.operations`
-lists them with their parameters, the roles of their weights (those in brackets may be missing), and
-what they compute:
+Each operation is defined at the end of its module, below the functions of its shape and its steps.
+`networks/torch/operations.py` and `networks/onnx/operations.py` say how it is read and written.
+`tnt_reference.layers` computes it in torch.
+
+`python -m pydoc async_tnt.networks.layers.operations` lists the operations with their parameters,
+the roles of their weights (a role in brackets may be missing), and what they compute:
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ OPERATIONS: dict[str, Operation] = {
 
 
 def described(operation: Operation) -> str:
-    """An operation in two lines.
+    """A text of two lines: an operation's name, parameters and roles, then its description.
 
     Examples
     --------

@@ -19,7 +19,8 @@ class PackedWeights:
     ----------
     numbers : float32, flat.
     groups : how many groups of filters have blocks of their own.
-    place_weights : stride of the places' weights, in numbers; 0 where all places share them.
+    place_weights : how many numbers lie between the weights of one place and those of the next; 0
+        where all places share the weights.
     """
 
     numbers: np.ndarray
@@ -60,7 +61,7 @@ def _rows(w: np.ndarray, step: Step) -> np.ndarray:
     n_places, n_taps, channels = w.shape
     size = round_up(channels, LANES)
     packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)
-    rows = packed[:, :-LANES].reshape(n_places, -1, size)  # a view
+    rows = packed[:, :-LANES].reshape(n_places, -1, size)  # a view: it fills `packed`
     rows[:, :n_taps, :channels] = w
     rows[:, n_taps, :channels] = step.bias
     rows[:, n_taps + 1, :channels] = step.slopes
@@ -76,7 +77,7 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
     w : some of the filters of the step.
     first : the index, among the step's filters, of the first filter in `w`.
     """
-    # (K, F): taps, then channels
+    # (K, F): the K weights of a filter, tap after tap, and channel after channel in each tap
     products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
     parts = []
     for f in range(0, len(w), 2 * LANES):

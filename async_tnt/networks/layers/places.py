@@ -23,7 +23,9 @@ class Axis(NamedTuple):
 
 
 def axis_through_window(layer: Layer, k: int, axis: Axis) -> Axis:
-    """The axis of a layer's output: moved by its window, or as it is where the layer has none.
+    """The axis of a layer's output: the input's axis, moved by the layer's window.
+
+    A layer without a window does not change the axis.
 
     Parameters
     ----------
@@ -41,7 +43,10 @@ def axis_through_window(layer: Layer, k: int, axis: Axis) -> Axis:
 
 
 def divided_axis(layer: Layer, k: int, axis: Axis) -> Axis:
-    """The axis of a pooling to `size` places, or to one: they divide the input evenly."""
+    """The axis of the output of a pooling whose places divide the input evenly.
+
+    Their number is the layer's `size`, or 1 if the layer has none.
+    """
     n = layer.get("size", (1, 1))[k]
     first = axis.first + axis.distance * (axis.n / n - 1) / 2
     return Axis(first, axis.distance * axis.n / n, n)

@@ -1,4 +1,4 @@
-"""Maxima, means and sums over the places of a window, or over all places."""
+"""Pooling: maxima, means and sums over the places of a window, or over all places."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _pool_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) ->
 def _max_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
     if any(layer["padding"]):
-        # a copy in a frame of what is less than any number
+        # the padding must never be the largest: a copy of the input has a frame of -inf
         source = made.copy(source, source.like(fill=-np.inf))
     zeros = np.zeros(source.channels)
     return made.add(MAXIMUM, [source], made.output_of(layer), [], zeros, **window_of(layer))
@@ -81,9 +81,10 @@ def _adaptive_pool_shape(layer: Layer, inputs: list[Shape], weights: dict[str, S
 
 
 def _adaptive_pool_kernel(layer: Layer, source: Shape, output: Shape) -> Sequence[int]:
-    """The longest span of inputs that belongs to one place, along each axis."""
+    """The number of taps along each axis, rows first, see `AdaptiveSpans`."""
     return [
-        adaptive_spans(n, n_inputs)[-1] for n, n_inputs in zip(output[1:], source[1:], strict=True)
+        adaptive_spans(n, n_inputs).kernel
+        for n, n_inputs in zip(output[1:], source[1:], strict=True)
     ]
 
 

@@ -29,7 +29,7 @@ from async_tnt.networks.layers.steps import Map, Step
 
 
 class ProgramArrays(NamedTuple):
-    """The arrays in the order in which the kernels take them."""
+    """The arrays of a program, in the order in which the kernels take them."""
 
     program: np.ndarray
     weights: np.ndarray
@@ -39,7 +39,9 @@ class ProgramArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class Program:
-    """A network for the compiled interpreter. Its input is zero, and nothing has been computed.
+    """A network for the compiled interpreter.
+
+    A new program has an input of zeros, and has computed nothing yet.
 
     Parameters
     ----------
@@ -64,11 +66,11 @@ class Program:
                 "a network was pickled on a processor with other vector registers: load its model "
                 "instead"
             )
-        # A pickle does not keep this flag.
+        # a pickle does not keep this flag
         self.arrays.weights.flags.writeable = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Program:
-        """A network of its own, with the same read-only weights."""
+        """A program with maps of its own, which shares the read-only weights."""
         memo[id(self.arrays.weights)] = self.arrays.weights
         return replace(self, arrays=copy.deepcopy(self.arrays, memo))
 
@@ -85,7 +87,8 @@ class Program:
 
         Returns
         -------
-        The output's numbers: a view that begins with the first, and may go on behind the last.
+        A view of `maps` that begins with the output's first number. It may be longer than the
+        output.
         """
         set_input.call(volume, self.arrays.program, self.arrays.maps)
         forward.call(*self.arrays)
@@ -135,7 +138,7 @@ def make_program(
 
 
 class _Arena:
-    """Places parts one after the other, each where a cache line begins."""
+    """Reserves parts of an array one after another, each where a cache line begins."""
 
     def __init__(self) -> None:
         self.size = 0
@@ -155,8 +158,8 @@ class _MapsLayout:
     volume : the network's input.
     planes : where the volume lies as (C, H, W).
     firsts : map -> where its place (0, 0) begins; the volume is the first one.
-    empty : numbers from a step's map to what it is for an empty window.
-    size : numbers in all.
+    empty : how many numbers lie from a step's map to the same map of an empty window.
+    size : how many numbers the array has.
     """
 
     volume: Map
@@ -166,7 +169,7 @@ class _MapsLayout:
     size: int
 
     def empty_maps(self) -> np.ndarray:
-        """The array: zeros, and in each map with a `fill` that number."""
+        """The array: zeros, but in a map with a `fill`, and in its frame, this number."""
         values = aligned(self.size, np.float32)
         for part, first in self.firsts.items():
             if part.fill:
@@ -179,7 +182,7 @@ def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
     """The layout of the volume and of all maps that steps compute.
 
     Maps that are added to each other have the same frame, that of the widest padding. So they may
-    need more memory than the layers said.
+    need more memory than `layer_shapes` counted.
 
     Raises
     ------
@@ -197,7 +200,7 @@ def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
         raise ValueError(
             f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}"
         )
-    # a register may reach behind the last channel
+    # a register that holds the last channels may reach behind the end of the maps
     behind = round_up(numbers.size + LANES, LANES)
     n_computed = numbers.size - n_input
     return _MapsLayout(volume, planes, firsts, empty=behind - n_input, size=behind + n_computed)
@@ -212,7 +215,7 @@ class _ProgramWriter:
     Attributes
     ----------
     program : the header, and a record for each step.
-    tables : the numbers that stand behind the records of the steps.
+    tables : the lists of numbers behind the records of the steps.
     weights : the packed weights of each step.
     places : the layout of the array `places`.
     records : step -> where its record begins.
@@ -251,7 +254,10 @@ class _ProgramWriter:
         self._write_changes(program, P.INPUT_TOUCHED, volume.rows, volume.columns)
 
     def _write_scratch(self) -> None:
-        """Reserve memory for a row of bits of any map, with zeros for what steps see beside it."""
+        """Reserve memory for one row of bits of any map.
+
+        Zeros lie before and behind the row, for the windows of steps that reach beyond the map.
+        """
         n_words = max(_words(part.columns) for part in self._layout.firsts)
         n_before = max(_words(step.padding[1]) for step in self._steps)
         n_seen = max(_words_seen(step) for step in self._steps)
@@ -260,7 +266,7 @@ class _ProgramWriter:
         self.program[P.SCRATCH_WORDS] = n_words
 
     def _write_changes(self, record: np.ndarray, at: int, rows: int, columns: int) -> None:
-        """Write a record that there are no changes, see `kernels.network.changes`."""
+        """Write the record of a map without changes, see `kernels.network.changes`."""
         n_words = _words(columns)
         first = self.places.take(2 * rows * n_words) // 2
         record[at : at + 4] = first, MAX_ROW, -1, n_words
@@ -284,14 +290,14 @@ class _ProgramWriter:
         record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
 
     def _write_places(self, record: np.ndarray, step: Step) -> None:
-        """Which places there are, and that none has changed."""
+        """Write how many places the step computes, and that no place has changed."""
         record[P.ROWS] = step.rows
         record[P.COLUMNS] = step.columns
         self._write_changes(record, P.CHANGED, step.rows, step.columns)
         self._write_changes(record, P.TOUCHED, step.rows, step.columns)
 
     def _write_inputs(self, record: np.ndarray, step: Step) -> None:
-        """Whose changes the step depends on, and where it reads."""
+        """Write which maps' changes the step depends on, and where it reads its inputs."""
         sources = [
             self.records[writer] + P.CHANGED for part in step.inputs for writer in part.writers
         ]
@@ -302,7 +308,7 @@ class _ProgramWriter:
 
         source = step.inputs[0]
         runs, run_length = _runs(step, self._layout.firsts)
-        record[P.IN] = 0  # the distances of runs are from the beginning of `maps`
+        record[P.IN] = 0  # the table of runs holds distances from the beginning of `maps`
         record[P.IN_DY] = step.stride[0] * source.pitch
         record[P.IN_DX] = step.stride[1] * source.channels
         record[P.N_RUNS] = len(runs)
@@ -332,18 +338,21 @@ class _ProgramWriter:
 
 
 def _words(columns: int) -> int:
-    """uint64 words that have a bit for each column."""
+    """How many uint64 words have a bit for each column."""
     return -(-columns // 64)
 
 
 def _words_seen(step: Step) -> int:
-    """Words of a row of its input that a row of a step may see, two of them beyond."""
+    """How many words of an input's row a step may read for one row of its output, plus two."""
     kernel_words = _words((step.kernel[1] - 1) * step.dilation[1])
     return _words(step.columns) * step.stride[1] + kernel_words + 2
 
 
 def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
-    """Where in the maps the runs or taps of place (0, 0) begin, and how long a run is."""
+    """Where in `maps` the runs of place (0, 0) begin, and how many numbers a run has.
+
+    A run is a tap, or a whole row of taps, see `kernels.network.program`.
+    """
     taps = []
     for part in step.inputs:
         row_distance = step.dilation[0] * part.pitch
@@ -354,7 +363,7 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
             for j in range(step.kernel[1]):
                 taps.append(origin + i * row_distance + j * column_distance)
     channels = step.inputs[0].channels
-    # a MIX reads a row of its kernel at once where its columns lie side by side
+    # a MIX can read a whole row of its kernel at once if the row's numbers lie side by side
     if step.kind == P.MIX and step.groups == 1 and step.dilation[1] == 1:
         return taps[:: step.kernel[1]], step.kernel[1] * channels
     return taps, channels // step.groups

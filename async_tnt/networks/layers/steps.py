@@ -24,9 +24,9 @@ class Map:
     columns: int
     fill: float = 0.0
     frame: tuple[int, int, int, int] = (0, 0, 0, 0)
-    """Places above, to the left, below and to the right."""
+    """How many places lie above the map, to its left, below it and to its right."""
     writers: list[Step] = field(default_factory=list)
-    """The steps that compute its channels; none for the volume."""
+    """The steps that compute the map's channels; none for the volume."""
 
     def like(self, fill: float = 0.0) -> Map:
         """A new map of the same size, which nothing computes yet."""
@@ -39,19 +39,19 @@ class Map:
 
     @property
     def pitch(self) -> int:
-        """Numbers from one row to the next, in memory."""
+        """How many numbers lie in memory from one row to the next."""
         _, left, _, right = self.frame
         return (left + self.columns + right) * self.channels
 
     @property
     def size(self) -> int:
-        """Numbers in memory, with the frame."""
+        """How many numbers the map and its frame have in memory."""
         top, _, bottom, _ = self.frame
         return (top + self.rows + bottom) * self.pitch
 
     @property
     def origin(self) -> int:
-        """Numbers before place (0, 0), which are those of the frame."""
+        """How many numbers of the frame lie in memory before place (0, 0)."""
         top, left, _, _ = self.frame
         return top * self.pitch + left * self.channels
 
@@ -62,23 +62,23 @@ class Step:
 
     Parameters
     ----------
-    name : the layer that it computes or belongs to.
+    name : the layer that the step computes or belongs to.
     kind : MIX, MAXIMUM, FUNCTION or SPREAD, which have one input; or SUM, whose inputs have one
         shape and are taps of one sum.
-    weights : the weights of a MIX have the shape (F, C / groups, kernel_y, kernel_x), with
-        `own_weights` (rows, columns, F, C). Those of a SUM have the shape (taps, C), input by input
-        and tap by tap, with `own_weights` (rows, columns, taps, C).
+    weights : for a MIX, shape (F, C / groups, kernel_y, kernel_x), or (rows, columns, F, C) with
+        `own_weights`. For a SUM, shape (taps, C), input by input and tap by tap, or (rows, columns,
+        taps, C) with `own_weights`.
     bias : (F,) or (C,).
     own_weights : whether each place has weights of its own.
     applied : the place of a FUNCTION's function in `kernels.network.functions.FUNCTIONS`.
     block : the side of the block that one place of a SPREAD's input becomes.
-    channel : the first of its channels in the output.
+    channel : the first channel of the output that the step computes.
 
     Attributes
     ----------
     rows, columns : how much of the output is computed; all of it, at first.
     slopes : (F,) or (C,), the factors of negative results.
-    low, high : the limits of its results.
+    low, high : the limits of the results.
     """
 
     name: str
@@ -115,17 +115,19 @@ class Step:
 
     @property
     def reads(self) -> tuple[int, int]:
-        """How many rows and columns of its inputs it reads.
+        """How many rows and columns of its inputs the step reads.
 
-        They are counted from the first row and column of the map, and may end in the frame.
+        They are counted from the first row and column of the map. The last ones may lie in the
+        frame.
         """
         return self._reads(0, self.rows), self._reads(1, self.columns)
 
     def _reads(self, axis: int, n_outputs: int) -> int:
         """`reads` along one axis."""
-        last = (-(-n_outputs // self.block) - 1) * self.stride[axis]
+        n_places = -(-n_outputs // self.block)  # rounded up
+        last_begin = (n_places - 1) * self.stride[axis] - self.padding[axis]
         reach = (self.kernel[axis] - 1) * self.dilation[axis]
-        return last + reach - self.padding[axis] + 1
+        return last_begin + reach + 1
 
 
 class StepList:
@@ -180,24 +182,27 @@ class StepList:
         return output
 
     def copy(self, source: Map, output: Map, channel: int = 0) -> Map:
-        """Add a step that copies a map into the channels of another one; returns the other one."""
+        """Add a step that copies `source` into `output`, from `channel` on; returns `output`."""
         ones = np.ones((1, source.channels))
         return self.add(SUM, [source], output, ones, np.zeros(source.channels), channel=channel)
 
     def step_to_change(self, layer: Layer, source: Map, *, linear: bool = False) -> Step:
-        """The step that a layer of one input becomes part of.
+        """A step whose results a layer of one input may change in place of a step of its own.
 
-        It is the step before, if no other layer reads that one's output. Otherwise it is a new
-        step, which copies the input.
+        It is the step that computes the layer's input, if no other layer reads this input and the
+        step has no activation yet. Otherwise it is a new step, which copies the input.
 
         Parameters
         ----------
-        linear : whether the layer scales and shifts results. A MIX and a SUM can do so.
+        source : the map of the layer's input.
+        linear : whether the layer scales and shifts results, which only a MIX or a SUM can do.
         """
         is_read_here_only = self._readers[layer["inputs"][0]] == 1
         if len(source.writers) == 1 and is_read_here_only:
             step = source.writers[0]
-            can_change = step.kind in (MIX, SUM) if linear else step.kind != SPREAD
+            can_change = step.kind != SPREAD
+            if linear:
+                can_change = step.kind in (MIX, SUM)
             if can_change and not step.is_activated:
                 return step
         return self.copy(source, source.like()).writers[0]
@@ -205,7 +210,8 @@ class StepList:
     def sum_of_places(self, source: Map, factor: float, bias: np.ndarray) -> Map:
         """Add the sum over all places, times a factor; returns its map.
 
-        Rows are summed first, then their sums: after a change, one row is summed again.
+        Each row is summed first, then the sums of the rows are summed. So a change in one row needs
+        the sum of this row and the sum of the row sums only.
         """
         channels = source.channels
         if 1 not in source.sides:

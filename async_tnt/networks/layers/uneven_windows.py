@@ -1,13 +1,17 @@
-"""Mean poolings whose windows hold different numbers of places.
+"""Mean poolings whose windows hold different numbers of inputs.
 
-They become windows of one size, in which each place has weights of its own.
+They are computed with windows of one size, in which each output place has weights of its own. The
+weights come from the rows and the columns, one axis at a time.
 
-Along one axis, tap i of place k is the input `k stride - before + i`. What a tap adds to the mean
-of its place is its share: 1 / n for the n inputs of the place's span that exist, 0 for other taps.
+Along one axis, a window is a row of taps: tap i of output place k reads the input
+`k stride - before + i`. The inputs whose mean is wanted are the span of the place. The share of a
+tap is its factor in this mean: 1 / n for the n inputs that lie in the span and inside the map, 0
+for all other taps.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,9 +23,9 @@ class AdaptiveSpans(NamedTuple):
 
     Parameters
     ----------
-    spans : for each place, its first input and the end of its inputs.
-    stride, before : which input each tap is, see above.
-    kernel : the number of taps.
+    spans : for each place, the index of its first input, and the index behind its last input.
+    stride, before : the numbers that say which input a tap reads: k stride - before + i.
+    kernel : the number of taps of a place.
     """
 
     spans: list[tuple[int, int]]
@@ -31,7 +35,7 @@ class AdaptiveSpans(NamedTuple):
 
 
 def inside_shares(n: int, n_inputs: int, kernel: int, stride: int, before: int) -> np.ndarray:
-    """The shares of a pooling over the places inside the input, along one axis: (n, kernel)."""
+    """The shares of a mean pooling in which padding does not count, along one axis: (n, kernel)."""
     starts = [k * stride - before for k in range(n)]
     spans = [(start, start + kernel) for start in starts]
     return shares_of(spans, n_inputs, stride, before, kernel)
@@ -42,9 +46,13 @@ def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
 
     Place k is the mean of the inputs from floor(k n_inputs / n) to ceil((k + 1) n_inputs / n).
     """
-    spans = [(k * n_inputs // n, -(-(k + 1) * n_inputs // n)) for k in range(n)]
+    spans = []
+    for k in range(n):
+        first = k * n_inputs // n
+        end = math.ceil((k + 1) * n_inputs / n)
+        spans.append((first, end))
     stride = max(1, n_inputs // n)
-    # above 0 where there are more places than inputs
+    # With more places than inputs, a span begins before the input k stride.
     before = max(k * stride - first for k, (first, _) in enumerate(spans))
     kernel = max(end - k * stride + before for k, (_, end) in enumerate(spans))
     return AdaptiveSpans(spans, stride, before, kernel)
@@ -59,6 +67,7 @@ def adaptive_shares(n: int, n_inputs: int) -> tuple[np.ndarray, int, int]:
 def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
     """The share of each input in each place of an adaptive pooling, (n, n_inputs)."""
     shares, stride, before = adaptive_shares(n, n_inputs)
+    # wide enough for all taps, also for those in front of the inputs and behind them
     matrix = np.zeros((n, before + n * stride + shares.shape[1] + n_inputs))
     for k, row in enumerate(shares):
         matrix[k, k * stride : k * stride + len(row)] = row
@@ -68,7 +77,9 @@ def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
 def shares_of(
     spans: Sequence[tuple[int, int]], n_inputs: int, stride: int, before: int, kernel: int
 ) -> np.ndarray:
-    """The share of each tap in its place's mean, over the span inside the input, (places, taps).
+    """The share of each tap in the mean of its place, (places, taps).
+
+    A span may reach beyond the inputs: only the inputs that exist count.
 
     Examples
     --------

@@ -30,7 +30,7 @@ _packed: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = WeakKeyDic
 
 
 def _program_of(model: Model, network: str) -> Program:
-    """A program of one of a model's networks, with feature maps of its own."""
+    """A new program of a model's classifier or regressor, with feature maps of its own."""
     of_model = _packed.setdefault(model, {})
     packed = of_model.setdefault(network, {})
     return make_program(model.network[network], model.config.shape, model.weights, packed)
@@ -39,10 +39,10 @@ def _program_of(model: Model, network: str) -> Program:
 class CompiledClassifier:
     """The compiled network of a model: volume (C, H, W) -> logits.
 
-    Logits are (n_classes,), or (n_classes + 1, R, C) of a map model. They equal torch's to 1e-4.
-    Called with an array, the classifier computes the whole network; `refresh` computes what has
-    changed in a volume since its last call. Both give the same logits, bit for bit. It holds its
-    feature maps: use one instance per thread.
+    The logits have the shape (n_classes,), or (n_classes + 1, R, C) for a map model. They equal
+    torch's logits within 1e-4. A call with an array computes the whole network. `refresh` computes
+    only what has changed in a volume since the last call. Both give the same logits, bit for bit.
+    An instance holds its feature maps: use one instance per thread.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ class CompiledClassifier:
 
     Raises
     ------
-    ValueError : (when called) the volume's shape is not the model's.
-    RuntimeError : (when called) another call is running.
+    ValueError : in a call, the volume's shape is not the model's.
+    RuntimeError : in a call, another call is running.
 
     Examples
     --------
@@ -101,8 +101,8 @@ class CompiledClassifier:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        vars(self).pop("map", None)  # a view of what was copied
-        # In another process, another window may have the number that was copied.
+        vars(self).pop("map", None)  # it is a view of the original's memory
+        # The copied number names a window of the original's process: here it may be another window.
         self.network.program[EPOCH] = 0
         self._prepare()
 
@@ -118,7 +118,7 @@ class CompiledClassifier:
     def refresh(self, volume: TNTVolume) -> np.ndarray:
         """The logits of a volume's open window, a new array.
 
-        It is quick where little has changed since the last call.
+        The call is quick if little has changed since the last call.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class CompiledClassifier:
         self.locate(volume, new_tracks(self.places, self.logits_shape, 0), 0, False)
         return self.map.copy()
 
-    @cached_property  # made once: a view takes as long as a small network
+    @cached_property  # made once: making a view takes as long as running a small network
     def map(self) -> np.ndarray:
         """A map model's last map, (n_classes + 1, R, C), read-only; the next call changes it."""
         n_bytes = np.dtype(np.float32).itemsize
@@ -154,7 +154,9 @@ class CompiledClassifier:
         return view
 
     def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
-        """`refresh` for a volume whose shape is known to fit.
+        """The class, logits and probabilities of a volume's open window.
+
+        This is `refresh` for a volume whose shape is known to fit.
 
         Returns
         -------
@@ -172,9 +174,9 @@ class CompiledClassifier:
 
     @one_at_a_time
     def locate(self, volume: TNTVolume, tracks: np.ndarray, time_us: int, keep: bool) -> int:
-        """`answer` for a map model: how many objects there are, or -1 if a logit is not finite.
+        """The number of objects on a map model's map, or -1 if a logit is not finite.
 
-        `reader` then holds the objects.
+        This is `answer` for a map model. `reader` then holds the objects.
 
         Parameters
         ----------
@@ -202,7 +204,7 @@ class CompiledClassifier:
 
         Parameters
         ----------
-        answers : its arrays for logits, probabilities and notes.
+        answers : the kernel's arrays for logits, probabilities and notes.
         """
         found: tuple[int, int, int]
         found = absorb_and_decide.call(
@@ -216,9 +218,9 @@ class CompiledRegressor:
 
     It computes a landmark (x, y) in grid pixels from a raw volume (C, H, W).
 
-    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. It
-    equals torch's to 1e-4 pixels. `Processor(model)` makes its own regressor. Without a
-    Processor, pass a regressor to the volume: `TNTVolume(model.config,
+    The network's last map is a heatmap. The landmark is the centroid of the heatmap's exponential,
+    computed in float64. It equals torch's landmark within 1e-4 pixels. `Processor(model)` makes its
+    own regressor. Without a Processor, pass a regressor to the volume: `TNTVolume(model.config,
     regressor=CompiledRegressor(model))`. A regressor holds scratch memory: use one instance per
     thread.
 
@@ -232,8 +234,8 @@ class CompiledRegressor:
 
     Raises
     ------
-    ValueError : the model has no regressor; (when called) the volume's shape is not the model's.
-    RuntimeError : (when called) another call is running.
+    ValueError : the model has no regressor; or, in a call, the volume's shape is not the model's.
+    RuntimeError : in a call, another call is running.
     """
 
     def __init__(self, model: Model) -> None:
@@ -262,7 +264,7 @@ class CompiledRegressor:
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
         """The landmark of one raw volume, float64.
 
-        It is nan where the network's float32 numbers overflow.
+        It is nan if the network's float32 numbers overflow.
         """
         exponent = self._program.run(self._input(volume))
         _, height, width = self.shape

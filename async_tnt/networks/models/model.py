@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from torch import nn
 
 FORMAT = "async_tnt 2"
-"""The `format` in a file's metadata; its number grows when an older release cannot read it."""
+"""The `format` in a file's metadata.
+
+Its number grows with each change after which older releases cannot read new files."""
 
 CENTROID = "heatmap_centroid"
 """The operation that a landmark network ends in."""
@@ -39,13 +41,13 @@ class Model:
     ----------
     config : TNTConfig.
     weights : float32 arrays, by the names that the network's layers give them.
-    classes : names, in the order of the network's outputs. A map model, whose network computes a
-        map (n_classes + 1, R, C) of more than one place, finds objects of these classes; the last
-        channel stands for nothing.
-    record : how it was trained: data, seed, accuracy, what was tried.
-    network : its layers, see `networks.layers.graph`. "classifier" computes logits from a volume
-        (C, H, W). "regressor" computes the landmark from the raw volume; it is there where the
-        landmark is "regressor" and the transform "tnt", and only there.
+    classes : names, in the order of the network's outputs. A map model finds objects of these
+        classes: its network computes a map (n_classes + 1, R, C) of more than one place, whose last
+        channel means "no object here".
+    record : how the model was trained: data, seed, accuracy, what was tried.
+    network : the layers, see `networks.layers.graph`. "classifier" computes logits from a volume
+        (C, H, W). "regressor" computes the landmark from the raw volume. It is present if and only
+        if the configuration has the landmark "regressor" and the transform "tnt".
 
     Raises
     ------
@@ -94,11 +96,11 @@ class Model:
 
         Parameters
         ----------
-        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. It is taken
+        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. It is read
             as in eval mode, with the weights that it has now.
         config, classes, record : see Model.
-        regressor : the landmark network, raw volumes -> landmarks. It is given where the
-            configuration needs one, and only there.
+        regressor : the landmark network, raw volumes -> landmarks. It must be given if and only if
+            the configuration needs one.
 
         Raises
         ------
@@ -136,7 +138,7 @@ class Model:
         try:
             for name, part in parts.items():
                 prefix = "" if name == CLASSIFIER else f"{name}."
-                # the classifier may have a submodule of this name
+                # the classifier may have weights whose names begin with this prefix
                 while prefix and any(tensor.startswith(prefix) for tensor in weights):
                     prefix = f"_{prefix}"
                 network[name], tensors = layers_from_torch(part, config.shape, prefix)
@@ -144,7 +146,7 @@ class Model:
             model = cls(
                 config,
                 weights,
-                classes,  # type: ignore[arg-type]  # checked, and made a tuple, there
+                classes,  # type: ignore[arg-type]  # `cls` checks it, and makes it a tuple
                 record or {},
                 network=network,
             )
@@ -156,9 +158,9 @@ class Model:
 
     @property
     def logits_shape(self) -> Shape:
-        """The shape of the output.
+        """The shape of the classifier's output.
 
-        It is (n_classes,) or (n_classes, 1, 1); (n_classes + 1, R, C) for a map model.
+        It is (n_classes,) or (n_classes, 1, 1), and (n_classes + 1, R, C) for a map model.
         """
         return self._shapes[self.network[CLASSIFIER][-1]["name"]]
 
@@ -170,11 +172,12 @@ class Model:
         return places_of(self.network[CLASSIFIER], self.config)
 
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
-        """The same network for another sensor, at the scale that it was trained at.
+        """A model with the same network for another sensor, at the same scale.
 
-        A pixel of the sensor stays as many pixels of the grid. This is meant for map models, and
-        for other networks of convolutions and poolings alone. A pooling that had torch's
-        `ceil_mode`, or one side None, keeps what was made of it for the first size.
+        One pixel of the sensor still becomes as many pixels of the grid as before. This is meant
+        for map models, and for other networks that have only convolutions and poolings. A pooling
+        that had `ceil_mode` or one side None in torch keeps the padding or the side that was
+        computed for the first sensor.
 
         Parameters
         ----------
@@ -243,7 +246,7 @@ class Model:
 
         Raises
         ------
-        OSError : the file cannot be written, or its path is not that of a regular file.
+        OSError : the file cannot be written, or there is something else than a regular file.
         TypeError : the record holds something that JSON cannot represent.
         """
         path = user_path(path)
@@ -262,8 +265,8 @@ def _float32(name: str, values: Any) -> np.ndarray:
     array = plain_array(name, values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
-    with np.errstate(over="ignore"):  # becomes inf, which `_check_weights` refuses
-        return np.ascontiguousarray(array, np.float32).copy()  # a copy: the given one may change
+    with np.errstate(over="ignore"):  # too large a number becomes inf; `_check_values` refuses it
+        return np.ascontiguousarray(array, np.float32).copy()  # the caller may change its array
 
 
 def _check_network(
@@ -288,9 +291,9 @@ def _check_network(
 
 
 def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
-    """Refuse logits other than a number for each class, or a map with a channel for each class.
+    """Refuse logits that are neither one number for each class nor a map.
 
-    A map has one more channel, for nothing.
+    A map has a channel for each class, and a last channel for "no object here".
     """
     is_map = len(logits) == 3 and logits[0] == n_classes + 1 and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
@@ -308,7 +311,10 @@ def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
 def _check_centroids(
     network: Mapping[str, Any], shapes: Mapping[str, Any], config: TNTConfig
 ) -> None:
-    """A regressor ends in a centroid of a heatmap of the volume's size; no other layer is one."""
+    """Refuse a centroid anywhere but at the end of the regressor, and a regressor without one.
+
+    The centroid's heatmap must have the rows and columns of the volume.
+    """
     all_layers = [layer for layers in network.values() for layer in layers]
     centroids = [layer for layer in all_layers if layer["op"] == CENTROID]
     expected = [network[REGRESSOR][-1]] if REGRESSOR in network else []
@@ -322,7 +328,7 @@ def _check_centroids(
 
 
 def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray]) -> None:
-    """Every weight is used and finite, and a batch norm never divides by zero."""
+    """Refuse a weight that is not used or not finite, and a batch norm that divides by zero."""
     all_layers = [layer for layers in network.values() for layer in layers]
     unused = set(weights) - tensors_of(all_layers)
     if unused:

@@ -17,13 +17,14 @@ from async_tnt.base.messages import one_line
 from async_tnt.volume.config import TNTConfig
 
 ALIGNMENT = 8
-"""Bytes: the length of the header stands in the first ones, and tensors begin at multiples."""
+"""How many bytes hold the header's length. The tensors begin at a multiple of this number."""
 
 
 def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
-    """The content of a .safetensors file, with sorted metadata.
+    """The content of a .safetensors file, the same bytes for the same tensors and metadata.
 
-    `safetensors.numpy.save` writes metadata in an order that changes from call to call.
+    The metadata are sorted here: `safetensors.numpy.save` writes them in an order that changes from
+    call to call.
 
     Examples
     --------
@@ -49,9 +50,9 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
 
     Raises
     ------
-    SafetensorError : it is not a .safetensors file, or NumPy lacks the type of a tensor.
-    ValueError : `format` in its metadata is not the expected one. Only the header has been read
-        then, as the tensors of another program may be huge.
+    SafetensorError : the file is not a .safetensors file, or NumPy lacks the type of a tensor.
+    ValueError : `format` in the file's metadata is not the expected one. This is checked before any
+        tensor is read, as the tensors of another program may be huge.
     """
     with safe_open(path, "numpy") as file:
         metadata = file.metadata() or {}
@@ -64,7 +65,7 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
 
 
 def parse_metadata(metadata: Mapping[str, str], name: str) -> Any:
-    """The JSON value of one name; a ValueError, which names it, if it is damaged."""
+    """The JSON value of one name; a ValueError with this name if the value is damaged."""
     try:
         return parse_json(metadata[name])
     except ValueError as error:
@@ -76,7 +77,7 @@ def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig
 
     Parameters
     ----------
-    more : names that the metadata must have, too.
+    more : further names that the metadata must have.
 
     Raises
     ------
@@ -105,6 +106,6 @@ def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
 
 
 def checksum_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
-    """The checksum of the weights and of all metadata other than itself."""
+    """The checksum of the weights and of all metadata except the checksum itself."""
     others = {name: metadata[name] for name in sorted(metadata) if name != "sha256"}
     return checksum(weights, json.dumps(others))

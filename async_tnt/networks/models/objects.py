@@ -1,6 +1,6 @@
 """The objects on the sensor and their places, read from a map of logits.
 
-The map has the shape (classes and nothing, rows, columns).
+The map has the shape (n_classes + 1, rows, columns). Its last channel means "no object here".
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from async_tnt.networks.layers.places import Axis, axis_through_window
 from async_tnt.volume.config import TNTConfig
 
 REACH = 4
-"""How many places an object may move from one decision to the next, and be the same object."""
+"""How many places an object may move between two decisions and still be the same object."""
 
 LOGITS = "(1, n_classes), or a map (1, n_classes + 1, R, C)"
 """The shapes of a network's answer, for messages."""
@@ -35,11 +35,12 @@ class Places(NamedTuple):
 
 
 def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
-    """Where places lie that divide the sensor evenly."""
+    """The places of a map of this shape, (K + 1, R, C), if they divide the sensor evenly."""
     width, height = sensor
     _, rows, columns = shape
     dx = width / columns
     dy = height / rows
+    # the first place lies in the middle of the pixels from 0 to dx - 1
     return Places((dx - 1) / 2, dx, (dy - 1) / 2, dy)
 
 
@@ -58,7 +59,7 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
         axes[layer["name"]] = (through(layer, 0, rows), through(layer, 1, columns))
 
     rows, columns = axes[layers[-1]["name"]]
-    # The size of a grid pixel, in sensor pixels.
+    # how many sensor pixels lie between two neighbouring grid pixels
     across = (config.sensor[0] - 1) / (width - 1)
     down = (config.sensor[1] - 1) / (height - 1)
     return Places(
@@ -81,10 +82,12 @@ def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
     n = math.prod(shape)
     if n == 0:
         return None
-    if n == max(shape, default=1):
+    if n == max(shape, default=1):  # all other sides are 1
         return (n,)
-    is_map = len(shape) in (3, 4) and shape[-3] > 1 and shape[:-3] in ((), (1,))
-    return shape[-3:] if is_map else None
+    is_one_map = len(shape) == 3 or (len(shape) == 4 and shape[0] == 1)
+    if is_one_map and shape[-3] > 1:
+        return shape[-3:]
+    return None
 
 
 class ObjectReader:
@@ -92,7 +95,7 @@ class ObjectReader:
 
     Parameters
     ----------
-    shape : (K + 1, R, C) of the maps: a channel for each class, then nothing.
+    shape : (K + 1, R, C) of the maps: a channel for each class, then one for "no object here".
     layout : only for an incremental network: where its map begins, and the strides of the map's
         rows, columns and channels, in numbers.
     sources : only for an incremental network: where in its program the records of the map's changes
@@ -117,13 +120,19 @@ class ObjectReader:
         about[K.ABOUT_SIZE :] = sources
         self.found = np.empty((most_objects(rows, columns), K.FOUND_SIZE))
         self.probabilities = np.empty((len(self.found), channels))
-        # those of a map of zeros
+        # the scores and peaks of a map of zeros
         scores = np.zeros((rows, columns))
         peaks = np.zeros((rows, -(-columns // 64)), np.uint64)
         self.arrays = (about, scores, peaks, self.probabilities, self.found)
 
     def read(self, logits: np.ndarray, tracks: np.ndarray, time_us: int, keep: bool) -> int:
-        """How many objects a map has, float32 of this shape; -1 if a logit is not finite."""
+        """Find the objects on a map; returns their number, or -1 if a logit is not finite.
+
+        Parameters
+        ----------
+        logits : the map, float32 of the shape `shape`.
+        tracks, time_us, keep : see `kernels.decisions.objects.locate_on_map`.
+        """
         n: int = K.locate_on_map.call(
             np.ascontiguousarray(logits).reshape(-1), *self.arrays, tracks, time_us, keep
         )
@@ -131,19 +140,21 @@ class ObjectReader:
 
 
 def most_objects(rows: int, columns: int) -> int:
-    """The most objects on a map, as no two peaks are nearer than `NEAR`."""
+    """The largest number of objects on a map: two peaks are more than `NEAR` places apart."""
     return math.prod(-(-side // (K.NEAR + 1)) for side in (rows, columns))
 
 
 def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:
-    """The `tracks` of `kernels.decisions.objects`, which say where objects stand; none is known.
+    """New `tracks` for `kernels.decisions.objects`: they hold no known object yet.
 
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps.
     memory_us : how long an object that is not found is remembered.
     """
-    tracks = np.zeros((K.KNOWN + 2 * min(K.MOST_TRACKED, most_objects(*shape[1:])), 4))
+    _, rows, columns = shape
+    n_tracked = min(K.MOST_TRACKED, most_objects(rows, columns))
+    tracks = np.zeros((K.KNOWN + 2 * n_tracked, 4))
     tracks[0, K.MEMORY_US] = memory_us
     tracks[1, [K.X0, K.DX_PX, K.Y0, K.DY_PX]] = places
     tracks[2, [K.REACH_X, K.REACH_Y]] = REACH * places.dx, REACH * places.dy

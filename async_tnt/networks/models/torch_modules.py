@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
     """A model's classifier as a module in eval mode.
 
-    It makes logits (N, n_classes) from volumes (N, C, H, W).
+    The module computes logits (N, n_classes) from volumes (N, C, H, W).
     """
     return _network(model, CLASSIFIER)
 
@@ -34,8 +34,8 @@ def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
 def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
     """A model's landmark network as a module in eval mode.
 
-    It makes landmarks (N, 2) in grid pixels from raw volumes (N, C, H, W). None if the model
-    has no landmark network.
+    The module computes landmarks (N, 2) in grid pixels from raw volumes (N, C, H, W). The result is
+    None if the model has no landmark network.
     """
     return _network(model, REGRESSOR) if model.config.needs_regressor else None
 
@@ -69,23 +69,23 @@ class TorchClassifier:
 
     `Processor(config, classifier=TorchClassifier(module))` decides by any callable from a tensor
     (1, C, H, W) to logits: a module, TorchScript, a `torch.export.ExportedProgram`, a plain
-    function of tensors. It is put into eval mode and called in inference mode, on the device and in
-    the floating type of its first parameter.
+    function of tensors. A module is put into eval mode. It is called in inference mode, on the
+    device and in the floating type of its first parameter.
 
     Parameters
     ----------
-    module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1,
-        n_classes), or a map (1, n_classes + 1, R, C), see `Model`. The module itself is put into
-        eval mode: call `module.train()` before training continues.
+    module : the callable. Its logits are a tensor of any shape that has one axis longer than 1,
+        such as (1, n_classes), or a map (1, n_classes + 1, R, C), see `Model`. The module itself is
+        put into eval mode, not a copy: call `module.train()` before training continues.
     places : where the places of a map lie; by default they divide the sensor evenly.
-    threads : given to `torch.set_num_threads`, once, here. That is process-wide: it also applies
-        to other classifiers and to training in this process. None leaves it unchanged.
+    threads : the number of torch's threads, set here by `torch.set_num_threads`. The number holds
+        for the whole process, also for other classifiers and for training. None leaves it as it is.
 
     Raises
     ------
     ImportError : torch is not installed.
-    TypeError : `module` cannot be called; (when called) it does not return a tensor.
-    ValueError : `threads` is less than 1; (when called) the logits have another shape.
+    TypeError : `module` cannot be called; or, in a call, it does not return a tensor.
+    ValueError : `threads` is less than 1; or, in a call, the logits have another shape.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class TorchClassifier:
         self.places = places
         self._like = torch.empty(0)  # a tensor with the device and the type of the module
         if isinstance(module, torch.nn.Module):
-            # an exported program has no such mode: it keeps the one that it was exported in
+            # an exported program has no eval mode: it stays in the mode of its export
             with suppress(NotImplementedError):
                 module.eval()
             for w in chain(module.parameters(), module.buffers()):
@@ -120,9 +120,9 @@ class TorchClassifier:
         """The logits of one volume, a new array: float32, (n_classes,) or (n_classes + 1, R, C)."""
         import torch
 
-        # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in
-        # place (a first layer `ReLU(inplace=True)`) or keeps its input would otherwise write into,
-        # or read from, the open window.
+        # The volume is copied, which takes 1 us for 9 x 34 x 34. Torch has no read-only tensors.
+        # Without a copy, a module that works in place (a first layer `ReLU(inplace=True)`) would
+        # write into the open window, and a module that keeps its input would see it change.
         tensor = torch.from_numpy(np.array(volume, np.float32))[None].to(self._like)
         with torch.inference_mode():
             logits: Any = self.module(tensor)

@@ -16,24 +16,27 @@ if TYPE_CHECKING:
     import onnx
 
 OPSET = 13
-"""The version of ONNX's operations, that of ONNX 1.8 (2020). Nothing here needs a later one, and
-what reads ONNX reads this one."""
+"""The version of ONNX's operations in exported files: that of ONNX 1.8 (2020).
+
+No exported operation needs a later version, and programs that read ONNX read this version."""
 
 IR_VERSION = 7
-"""The version of ONNX's files, likewise."""
+"""The version of the ONNX file format in exported files, also that of ONNX 1.8."""
 
 MAX_BYTES = 1 << 31
-"""The most bytes in a protobuf message."""
+"""A protobuf message, and so an ONNX file, must have fewer bytes than this."""
 
 
 def to_onnx(model: Model) -> onnx.ModelProto:
     """The classifier of a Model as an ONNX network.
 
-    Its input is `volume`, (1, C, H, W), its output `logits`, (1, n_classes), for a map model (1,
-    n_classes + 1, R, C), both float32. Weights are initializers under their names in
-    `Model.weights`. `metadata_props` hold what a model file's metadata holds (`format`, `config`,
-    `classes`, `record`, `network`), and `sha256`, a hash of the whole file. A landmark network has
-    no such form.
+    The input is `volume`, float32 of shape (1, C, H, W). The output is `logits`, float32 of shape
+    (1, n_classes), or (1, n_classes + 1, R, C) for a map model. The weights are initializers with
+    their names in `Model.weights`.
+
+    `metadata_props` hold the metadata of a model file (`format`, `config`, `classes`, `record`,
+    `network`), and `sha256`, a hash of the whole file. The model's landmark network is not
+    exported: it has no ONNX form.
 
     Raises
     ------
@@ -72,7 +75,7 @@ def to_onnx(model: Model) -> onnx.ModelProto:
 
 
 def _nodes_of(model: Model) -> OnnxNodes:
-    """The nodes of the classifier, layer by layer; the last one's output is `logits`."""
+    """The nodes of the classifier, layer by layer; the output of the last node is `logits`."""
     from onnx.helper import make_node
 
     layers = model.network[CLASSIFIER]
@@ -88,8 +91,8 @@ def _nodes_of(model: Model) -> OnnxNodes:
         write(made, layer, inputs, name)
 
     output = made.value_of(layers[-1]["name"])
-    # An output that is not a vector has another name: it is a map. A map model's logits are the map
-    # as it is. Other models flatten it.
+    # A vector has been named `logits` by `name_value`. Otherwise the output is a map: a map model's
+    # logits are this map, another model's logits are the flattened map.
     if output != LOGITS:
         made.add("Flatten" if model.places is None else "Identity", [output], LOGITS)
     return made

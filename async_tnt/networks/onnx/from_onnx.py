@@ -35,10 +35,11 @@ STANDARD = ("", "ai.onnx")
 FIRST_OPSET = 7
 """The first version of ONNX's operations that is read.
 
-Before it, sums took an axis, and batch norms and dropouts trained unless told otherwise."""
+In earlier versions, sums have an axis, and batch norms and dropouts are in training mode by
+default."""
 
 WAY_OUT = "; OnnxClassifier(path) runs any float32 network of logits, whole at every decision"
-"""What to do with a network that is refused, for the end of messages."""
+"""The end of a message about a refused network: what the user can do instead."""
 
 
 def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
@@ -46,7 +47,7 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     with needs_extra("onnx", "ONNX networks are read by onnx"):
         import onnx
     try:
-        # This also reads weights that stand in files beside it.
+        # this also reads weights that stand in files beside the .onnx file
         proto = onnx.load(path)
         onnx.checker.check_model(proto)
         metadata = {entry.key: entry.value for entry in proto.metadata_props}
@@ -75,7 +76,8 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
 
     Parameters
     ----------
-    weights : all constants of the file by name, with those that the export added.
+    weights : name -> values of all constants in the file. The export adds some to the model's
+        weights.
     """
     if exported.config.needs_regressor:
         raise NotImplementedError(
@@ -83,7 +85,7 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
         )
     layers = exported.layers
     try:
-        # checks the layers, from which the names of the weights are read
+        # checks the layers; only then can `tensors_of` read the names of their weights
         layer_shapes(layers, exported.config.shape, _shapes(weights))
         own = {name: weights[name] for name in sorted(tensors_of(layers))}
         network = {CLASSIFIER: layers}
@@ -99,7 +101,7 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
 def _foreign_model(
     path: Path, proto: onnx.ModelProto, config: TNTConfig, classes: Sequence[str] | None
 ) -> Model:
-    """The model of another program's network, compared with what onnxruntime computes."""
+    """The model of another program's network, whose output has been compared with onnxruntime's."""
     try:
         layers, weights = layers_from_onnx(proto, config.shape)
         if classes is None:
@@ -107,7 +109,7 @@ def _foreign_model(
         model = Model(
             config,
             weights,
-            classes,  # type: ignore[arg-type]  # checked, and made a tuple, there
+            classes,  # type: ignore[arg-type]  # `Model` checks it, and makes it a tuple
             network={CLASSIFIER: layers},
         )
     except ValueError as error:
@@ -147,10 +149,10 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     opened = open_session(str(path), str(path), 1)
     (given,) = opened.inputs
     dtype = input_type(proto)
-    # a softmax stands at the end, or the network has no layers
+    # `layers_from_onnx` accepts a softmax only at the end of a network
     has_softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
     n_batch = 1
-    if given.shape and isinstance(given.shape[0], int):  # some files fix a batch
+    if given.shape and isinstance(given.shape[0], int):  # some files fix the batch size
         n_batch = given.shape[0]
     compiled = CompiledClassifier(model)
 
@@ -174,14 +176,14 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
 def layers_from_onnx(
     model: onnx.ModelProto, shape: tuple[int, int, int]
 ) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a network of one input, and their weights.
+    """The layers of a network with one input, and the weights of the layers.
 
-    They are made of the operators that `networks/onnx/operations.py` lists. A softmax at the end is
-    left out.
+    `networks/onnx/operations.py` lists the operators that become layers. A softmax at the end of
+    the network is left out.
 
     Parameters
     ----------
-    shape : (C, H, W), as the input (N, C, H, W) may leave sides open.
+    shape : (C, H, W) of a volume. The file may leave these sides of the input (N, C, H, W) open.
 
     Raises
     ------
@@ -208,7 +210,7 @@ def layers_from_onnx(
             raise NotImplementedError(f"{node.where} has no compiled form")
         try:
             rule(made, node)
-        except (NotImplementedError, ValueError) as error:  # the latter: no layer takes the shape
+        except (NotImplementedError, ValueError) as error:  # ValueError: the shapes do not fit
             raise NotImplementedError(f"{node.where}: {error}") from None
     if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
         raise NotImplementedError("the network's last layer must compute its output")
@@ -235,7 +237,7 @@ def _check_input_shape(value: onnx.ValueInfoProto, shape: tuple[int, int, int]) 
 
 
 def _inputs(model: onnx.ModelProto) -> list[onnx.ValueInfoProto]:
-    """The network's inputs, without the weights, which old files list, too."""
+    """The network's inputs. Old files list the weights among them: these are left out."""
     constants = {tensor.name for tensor in model.graph.initializer}
     return [value for value in model.graph.input if value.name not in constants]
 
@@ -262,8 +264,8 @@ def _check_meanings(model: onnx.ModelProto) -> int:
 
     Raises
     ------
-    NotImplementedError : an operation is not ONNX's own of that name, or had another meaning in
-        this version.
+    NotImplementedError : an operation is not one of ONNX's own; or the network's version of ONNX's
+        operations is before `FIRST_OPSET`.
     """
     for node in model.graph.node:
         if node.domain not in STANDARD:

@@ -1,4 +1,4 @@
-"""What an ONNX graph is read into: its nodes, and the layers that they become."""
+"""The nodes of an ONNX graph as Python objects, and the layers that they become."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Node:
 
     Attributes
     ----------
-    op : its ONNX operator.
-    inputs : the names of its inputs; "" for one that is left out.
-    outputs : the names of its outputs, without those that are left out.
-    where : what messages call it.
+    op : the node's ONNX operator.
+    inputs : the names of the node's inputs; "" for an input that is left out.
+    outputs : the names of the node's outputs, without outputs that are left out.
+    where : the node's name in messages.
     """
 
     def __init__(self, node: onnx.NodeProto) -> None:
@@ -43,12 +43,12 @@ class Node:
 
 
 class OnnxLayers:
-    """The layers of a graph and their weights, so far.
+    """The layers that a graph's nodes have become so far, and the weights of these layers.
 
     Parameters
     ----------
     given : the name of the network's input, a volume of `shape` (C, H, W) and type `dtype`.
-    constants : name -> values.
+    constants : name -> values of the graph's constants.
     opset : the version of ONNX's operations.
 
     Attributes
@@ -76,7 +76,7 @@ class OnnxLayers:
     def add(self, node: Node, op: str, sources: Sequence[str], **parameters: Any) -> None:
         """Add a layer that a node becomes, named after the node's output.
 
-        Of several layers of one node, the last one computes the output.
+        If a node becomes several layers, the last of them computes the node's output.
         """
         taken = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = node.outputs[0]
@@ -96,7 +96,7 @@ class OnnxLayers:
         return self.names[value]
 
     def layer_of(self, value: str) -> dict[str, Any]:
-        """The layer that computes a value; for the volume, one with the `op` "volume"."""
+        """The layer that computes a value; for the volume, a stand-in with the `op` "volume"."""
         name = self.layer(value)
         for layer in self.layers:
             if layer["name"] == name:
@@ -122,7 +122,10 @@ class OnnxLayers:
         return self.constants[name]
 
     def tensor(self, name: str, values: np.ndarray) -> str:
-        """Keep a tensor; returns its name, which has `_` behind where another tensor has it."""
+        """Keep a tensor; returns the name under which it is kept.
+
+        This is `name`, with `_` added if a different tensor already has the name.
+        """
         expect_form(
             values.dtype == self._dtype,
             f"{name!r} of type {values.dtype} beside an input of {self._dtype}",
@@ -138,11 +141,11 @@ class OnnxLayers:
 
         Parameters
         ----------
-        places : role -> the place of its tensor among the inputs.
+        places : role of weights -> the place of their tensor among the node's inputs.
 
         Returns
         -------
-        Role -> the tensor's name, for the inputs that are there.
+        Role -> the tensor's name, for the inputs that the node has.
         """
         constants = {role: self.constant(node, place) for role, place in places.items()}
         weights = {}

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     import onnx
 
 CHECKSUM = "sha256"
-"""The name in the metadata under which the checksum of the whole file stands."""
+"""The name of the metadata entry that holds the checksum of the whole file."""
 
 BLANK = 64 * "0"
-"""What stands in place of the checksum while it is computed."""
+"""The text that takes the place of the checksum while the checksum is computed."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,10 @@ class Exported:
 
 
 def metadata_of(model: Model) -> dict[str, str]:
-    """What a model file's metadata holds, with the classifier's layers and a blank checksum.
+    """The metadata of an exported model: the entries of a model file, with a blank checksum.
 
-    The layers are there because nodes do not show which layer they belong to.
+    `network` holds the classifier's layers only. They are needed to read the file again: ONNX nodes
+    do not say which layer they belong to.
     """
     network = json.dumps(model.network[CLASSIFIER])
     return {**model.description(), "network": network, CHECKSUM: BLANK}
@@ -51,7 +52,7 @@ def seal(made: onnx.ModelProto) -> None:
 
 
 def _checksum(content: bytes, written: str) -> str:
-    """The checksum of a file, in which the written one counts as blank."""
+    """The checksum of a file's bytes, computed with `BLANK` in place of the written checksum."""
     return hashlib.sha256(content.replace(written.encode(), BLANK.encode())).hexdigest()
 
 
@@ -65,8 +66,8 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
 
     Raises
     ------
-    ValueError : this package wrote the file, but in another version, or it is not what `seal`
-        wrote.
+    ValueError : this package wrote the file, but in another version of the format; or the file has
+        changed since `seal` wrote its checksum.
     """
     written = metadata.get("format", "")
     if not written.startswith(FORMAT.split()[0] + " "):

@@ -34,22 +34,22 @@ class OnnxClassifier:
     see `Model`. Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
     `Processor(net.config, classifier=net, classes=net.classes)`.
 
-    It holds scratch memory: use one instance per thread. Copies and pickles open the network again,
-    from the same path or bytes.
+    An instance holds scratch memory: use one instance per thread. A copy, or an instance read from
+    a pickle, opens the network again from the same path or bytes.
 
     Parameters
     ----------
     path_or_bytes : an .onnx file's path, its content, or an `onnx.ModelProto`.
-    threads : how many onnxruntime uses within a node and between nodes, at least 1. With 1 it
-        starts no threads; with more, they sleep between calls instead of spinning.
-    shape : (C, H, W), for networks that leave these sides open.
+    threads : how many threads onnxruntime uses within a node and between nodes, at least 1. With 1
+        it starts no threads. With more, the threads sleep between calls instead of spinning.
+    shape : (C, H, W) of a volume, needed if the network leaves these sides open.
 
     Attributes
     ----------
     shape : (C, H, W).
-    n_classes : how many logits, or channels of a map but for the last.
-    places : where the places of a map lie, if this package wrote the file; else None, and they
-        divide the sensor evenly.
+    n_classes : the number of logits; for a map, the number of channels without the last.
+    places : where the places of a map lie, if this package wrote the file; else None, which means
+        that the places divide the sensor evenly.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
     exported : the Model of the file, without its weights, if this package wrote the file; else
         None.
@@ -58,8 +58,8 @@ class OnnxClassifier:
     ------
     ImportError : onnxruntime is not installed.
     FileNotFoundError : the file does not exist.
-    ValueError, TypeError : the file is damaged, or its network has other inputs or outputs; (when
-        called) the volume has another shape.
+    ValueError, TypeError : the file is damaged, or its network has other inputs or outputs; or, in
+        a call, the volume has another shape.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class OnnxClassifier:
         """
         try:
             volume = np.zeros((1, *self.shape), np.float32)
-            # its size may depend on the input's
+            # the file may not say the answer's shape: one run shows it
             (answer,) = self._session.run([output.name], {input_name: volume})
         except Exception as error:  # onnxruntime raises errors of many types
             raise ValueError(
@@ -206,13 +206,13 @@ def source_of(path_or_bytes: Any) -> str | bytes:
 
 
 def import_onnxruntime() -> Any:
-    """The library, with telemetry off unless the user's environment turns it on.
+    """The module onnxruntime, with telemetry off unless the user's environment turns it on.
 
     Raises
     ------
-    ImportError : it is not installed.
+    ImportError : onnxruntime is not installed.
     """
-    # read when it is loaded: its API's own switch comes too late
+    # onnxruntime reads this while it is imported; its API can turn telemetry off only afterwards
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     with needs_extra("onnx", "ONNX networks are run by onnxruntime"):
         import onnxruntime
@@ -225,7 +225,7 @@ class OpenedNetwork:
 
     Parameters
     ----------
-    inputs, outputs : onnxruntime's descriptions of them.
+    inputs, outputs : onnxruntime's descriptions of the network's inputs and outputs.
     exported : the Model of the file, without its weights, if this package wrote the file; else
         None.
     """
@@ -237,12 +237,12 @@ class OpenedNetwork:
 
 
 def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
-    """Open a network.
+    """Open a network in onnxruntime.
 
     Parameters
     ----------
-    source : the path of its file, or its bytes.
-    name : what messages call it.
+    source : the path of the network's file, or its bytes.
+    name : the network's name in messages.
     threads : see `OnnxClassifier`.
 
     Raises
@@ -263,7 +263,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
             source,
             options,
             providers=["CPUExecutionProvider"],
-            enable_fallback=0,  # otherwise it prints that it tries again
+            enable_fallback=0,  # with a fallback, a failure would print that it tries again
         )
         inputs = session.get_inputs()
         outputs = session.get_outputs()
@@ -279,7 +279,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
 
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, int, int]:
-    """The shape (C, H, W) of a network's volumes; `shape` where it leaves sides open."""
+    """The shape (C, H, W) of a network's volumes; `shape` where the network leaves sides open."""
     sides = tuple(inputs[0].shape) if inputs else ()
     one_volume = len(sides) == 4 and (sides[0] == 1 or not isinstance(sides[0], int))
     if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not one_volume:

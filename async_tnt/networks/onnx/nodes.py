@@ -24,13 +24,13 @@ class OnnxNodes:
     ----------
     layers : the layers of the network that is written.
     weights : the network's weights by name.
-    shapes : the shape of each layer's output, and that of the volume, by name.
+    shapes : name -> the shape of a layer's output, or of the volume.
     make_node : `onnx.helper.make_node`.
 
     Attributes
     ----------
     nodes : the nodes in the order in which they are computed.
-    weights : the network's weights, and the constants that the nodes need besides, by name.
+    weights : name -> values of the network's weights, and of further constants of the nodes.
 
     Raises
     ------
@@ -62,12 +62,14 @@ class OnnxNodes:
         return self._values[layer]
 
     def name_value(self, layer: Layer, *, is_output: bool) -> str:
-        """Choose the name of a layer's value: its own or, where that is taken, one with `_` behind.
+        """Choose the name that a layer's value has in the graph.
 
-        The output has its name in the file if it is a vector.
+        It is the layer's name, with `_` added if the name is taken. If the layer is the network's
+        output and computes a vector, it is `LOGITS`.
         """
         name: str = layer["name"]
-        # the names of values that help to compute a layer begin with the layer's and a dot
+        # a rule may add helping values, such as "conv1.sum" for the layer "conv1": no other value
+        # may have such a name
         while name in self._taken or any(own.startswith(f"{name}.") for own in self._layer_names):
             name += "_"
         if is_output and len(self._shapes[layer["name"]]) == 1:
@@ -90,16 +92,16 @@ class OnnxNodes:
         return output
 
     def constant(self, name: str, value: Any) -> str:
-        """Add a constant, float32; returns its name, which has `_` behind where a weight has it."""
+        """Add a float32 constant; returns its name: `name`, with `_` added if a weight has it."""
         while name in self.weights:
             name += "_"
         self.weights[name] = np.asarray(value, np.float32)
         return name
 
     def scale(self, value: str, factor: float, name: str) -> str:
-        """Add a product with a number; returns its name."""
+        """Add the product `value` * `factor`, named `name`; returns this name."""
         return self.add("Mul", [value, self.constant(f"{name}.factor", factor)], name)
 
     def add_number(self, value: str, number: float, name: str) -> str:
-        """Add a sum with a number; returns its name."""
+        """Add the sum `value` + `number`, named `name`; returns this name."""
         return self.add("Add", [value, self.constant(f"{name}.number", number)], name)

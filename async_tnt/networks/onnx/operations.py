@@ -1,7 +1,7 @@
-"""ONNX's forms of the operations: the one list of them.
+"""The table of the ONNX forms of all operations.
 
-Each operation of `networks/layers/operations.py` has the ONNX operators that become it, with the
-rule by which a node is read, and the rule by which it is written.
+For each operation of `networks/layers/operations.py` it lists the ONNX operators that are read as
+this operation, with a rule for each of them, and the rule that writes the operation.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from async_tnt.networks.onnx.write_rules import WriteRule, plain_node, window_no
 
 @dataclass(frozen=True)
 class OnnxForm:
-    """How ONNX says an operation.
+    """The rules by which an operation is read from ONNX, and written to it.
 
     Parameters
     ----------
-    read : ONNX operator -> the rule of its nodes. An operator whose attributes or inputs decide
-        which operation it becomes stands behind each of them.
-    write : the rule of its layers.
-    not_read : why no operator becomes it.
-    not_written : why it is not written.
+    read : ONNX operator -> the rule that reads its nodes. Some operators become one of several
+        operations, as their attributes or inputs say. Each of these operations lists the operator.
+    write : the rule that writes a layer of the operation.
+    not_read : why no ONNX operator is read as the operation.
+    not_written : why the operation is not written.
     """
 
     read: Mapping[str, ReadRule] = field(default_factory=dict)
@@ -92,7 +92,7 @@ FORMS: dict[str, OnnxForm] = {
         not_written="a landmark network has no ONNX form",
     ),
 }
-"""Operation -> ONNX's forms of it."""
+"""Operation -> its ONNX form."""
 
 NO_LAYERS: dict[str, ReadRule] = {
     "Constant": read.constant,
@@ -100,9 +100,9 @@ NO_LAYERS: dict[str, ReadRule] = {
     "Dropout": read.dropout,
     "Identity": read.identity,
 }
-"""Operators that become no layer."""
+"""ONNX operator -> the rule of its nodes, for operators that add no layer."""
 
 RULES: dict[str, ReadRule] = {
     operator: rule for form in FORMS.values() for operator, rule in form.read.items()
 } | NO_LAYERS
-"""ONNX operator -> the rule of its nodes."""
+"""ONNX operator -> the rule of its nodes, for all operators that are read."""

@@ -1,7 +1,7 @@
 """How nodes of an ONNX graph become layers.
 
-Each rule receives the layers so far and a node. It adds the layers that the node becomes, or raises
-a NotImplementedError for a form of the operator that has none.
+Each rule receives the layers so far and a node. It adds the layers that the node becomes. If the
+node's form of the operator has no layers, the rule raises a NotImplementedError.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SIXTH_TOLERANCE = 1e-6
 
 
 def plain_layer(op: str) -> ReadRule:
-    """The rule of a layer that has one input and no parameters."""
+    """A rule that adds a layer with one input and no parameters."""
 
     def read(made: OnnxLayers, node: Node) -> None:
         made.add(node, op, node.inputs[:1])
@@ -30,7 +30,7 @@ def plain_layer(op: str) -> ReadRule:
 
 
 def _without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """What is left of a shape as ONNX broadcasts it."""
+    """The shape without the sides of 1 at its front, which change nothing when ONNX broadcasts."""
     while shape[:1] == (1,):
         shape = shape[1:]
     return shape
@@ -118,9 +118,13 @@ def multiply(made: OnnxLayers, node: Node) -> None:
 
 
 def _affine(made: OnnxLayers, node: Node, *, role: str) -> None:
-    """A batch norm that adds a constant as its `bias`, or multiplies by one as its `weight`.
+    """Add a batch norm for a node that adds a constant, or multiplies by a constant.
 
     The constant has one number, or one for each channel.
+
+    Parameters
+    ----------
+    role : the constant's role in the batch norm: "bias" is added, "weight" multiplies.
     """
     (constant,) = [made.constants[name] for name in node.inputs if name in made.constants]
     (source,) = [name for name in node.inputs if name not in made.constants]
@@ -140,7 +144,7 @@ def _affine(made: OnnxLayers, node: Node, *, role: str) -> None:
 
 
 def _silu(made: OnnxLayers, node: Node) -> None:
-    """x sigmoid(x), as torch exports it."""
+    """Add a silu for a product x sigmoid(x), which is the form that torch exports."""
     for x, factor in (node.inputs, node.inputs[::-1]):
         layer = made.layer_of(factor)
         if layer["op"] == "sigmoid" and layer["inputs"] == [made.layer(x)]:
@@ -166,7 +170,7 @@ def prelu(made: OnnxLayers, node: Node) -> None:
     slope = made.constant(node, 1)
     if slope is None:
         raise NotImplementedError("a PRelu without slope has no compiled form")
-    # (C, 1, 1): ONNX would apply (n,) along the last axis
+    # the slopes of a map have the shape (C, 1, 1): ONNX applies (C,) along the last axis
     sides = _without_leading_ones(slope.shape)
     channels, *others = made.shape(node.inputs[0])
     of_channels = (channels, *[1] * len(others))
@@ -182,7 +186,10 @@ def clip(made: OnnxLayers, node: Node) -> None:
 
 
 def _limit(made: OnnxLayers, node: Node, place: int, attribute: str) -> float | None:
-    """A limit, which is an input or, before opset 11, an attribute; None where there is none."""
+    """A limit of a clip, None if the node has no such limit.
+
+    The limit is the input at `place` or, before opset 11, an attribute.
+    """
     value = made.constant(node, place)
     if value is None:
         limit: float | None = node.get(attribute)
@@ -194,12 +201,14 @@ def _limit(made: OnnxLayers, node: Node, place: int, attribute: str) -> float | 
 def shrink(made: OnnxLayers, node: Node) -> None:
     limit = node.get("lambd", 0.5)
     bias = node.get("bias", 0.0)
-    expect_form(limit == bias >= 0, f"lambd {limit} and bias {bias}, not one number from 0 on,")
+    expect_form(
+        limit == bias and bias >= 0, f"lambd {limit} and bias {bias}, not one number from 0 on,"
+    )
     made.add(node, "softshrink", node.inputs[:1], lambd=float(limit))
 
 
 def log(made: OnnxLayers, node: Node) -> None:
-    """log(x + 1), as torch exports log1p."""
+    """Add a log1p for a logarithm of x + 1, which is the form that torch exports."""
     name = node.inputs[0]
     sum_layer = made.layer_of(name)
     weights = sum_layer.get("weights", {})
@@ -208,7 +217,8 @@ def log(made: OnnxLayers, node: Node) -> None:
         is_shift and bool((made.tensors[weights["bias"]] == 1).all()),
         "a logarithm of other than x + 1",
     )
-    # the logarithm reads what the sum reads; other nodes still read the sum
+    # The layer of log1p reads x, not x + 1. So while it is added, the name of the sum stands for x.
+    # Other nodes still read the sum.
     made.names[name] = sum_layer["inputs"][0]
     made.add(node, "log1p", [name])
     made.names[name] = sum_layer["name"]
@@ -246,6 +256,7 @@ def _window(node: Node, kernel: Sequence[int]) -> dict[str, list[int]]:
     if auto in ("SAME_UPPER", "SAME_LOWER"):
         expect_form(stride == [1, 1], f"auto_pad {auto} with a stride of {stride}")
         dilation = node.get("dilations", [1, 1])
+        # an odd padding has one place more at the end (SAME_UPPER) or at the front (SAME_LOWER)
         total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
         less = [n // 2 for n in total]
         more = [n - n // 2 for n in total]
@@ -295,16 +306,19 @@ def flatten(made: OnnxLayers, node: Node) -> None:
 
 
 def reshape(made: OnnxLayers, node: Node) -> None:
-    """The rule of a reshape to (n, -1) or (n, m), one row a volume."""
+    """Add a flatten for a reshape to (n, -1) or (n, m) that gives one row for each volume."""
     given = made.constant(node, 1)
     shape = None if given is None else given.tolist()
-    fits = given is not None and given.shape == (2,) and _is_one_row(made, node, *given.tolist())
+    fits = False
+    if given is not None and given.shape == (2,):
+        rows, n = given.tolist()
+        fits = _is_one_row(made, node, rows, n)
     expect_form(fits, f"a reshape to {shape}, not (n, -1), one row a volume,")
     made.add(node, "flatten", node.inputs[:1])
 
 
 def _is_one_row(made: OnnxLayers, node: Node, rows: int, n: int) -> bool:
-    """Whether a reshape to (rows, n) gives one row a volume."""
+    """Whether a reshape to (rows, n) gives one row for each volume."""
     if rows == 0 and node.get("allowzero", 0):
         return False  # then 0 does not stand for the size of the batch
     if n == -1:
@@ -324,7 +338,7 @@ def constant(made: OnnxLayers, node: Node) -> None:
 
 
 def softmax(made: OnnxLayers, node: Node) -> None:
-    """The rule of a last softmax, over the classes: it is left out.
+    """Leave out the softmax at the end of a network, which must be over the classes.
 
     Before opset 13 a softmax is over all axes from `axis` on.
     """

@@ -143,7 +143,7 @@ def write_hardswish(made: OnnxNodes, layer: Layer, inputs: list[str], name: str)
 
 
 def write_sum_pool(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
-    """The mean times the number of places."""
+    """Write a sum as the mean of the window times its number of places."""
     rows, columns = layer["kernel"]
     mean = made.add("AveragePool", inputs, f"{name}.mean", count_include_pad=1, **_window(layer))
     size = made.constant(f"{name}.size", rows * columns)
@@ -153,7 +153,7 @@ def write_sum_pool(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) 
 def write_adaptive_average_pool(
     made: OnnxNodes, layer: Layer, inputs: list[str], name: str
 ) -> None:
-    """A X B', where A and B hold what each place takes of the mean along its axis."""
+    """A X B': A holds the share of each input row in each output row, B the same for columns."""
     rows, columns = layer["size"]
     _, input_rows, input_columns = made.input_shape(layer)
     a = made.constant(f"{name}.a", adaptive_matrix(rows, input_rows))

@@ -1,4 +1,4 @@
-"""How torch says an operation, and how a call of it becomes layers."""
+"""The torch form of an operation: what calls it in torch, and how a call becomes layers."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ Rule = Callable[[LayerList, Call], str]
 """Adds the layers of a call, and returns the name of the last one."""
 
 ArgumentsRule = Callable[[fx.Node], dict[str, Any]]
-"""The arguments of a call by name, where they do not follow torch's order."""
+"""Finds the arguments of a call by name, for an operation whose arguments have no fixed order."""
 
 INPLACE = {"inplace": False}
-"""The parameter of modules and functions that may work in place."""
+"""The parameter, with its default, of modules and functions that may work in place."""
 
 
 @dataclass(frozen=True)
 class TorchForm:
-    """Torch's names of an operation, and its rule.
+    """The modules, functions and methods of torch that become an operation, and their rule.
 
     Parameters
     ----------
     rule : how a call becomes layers.
     modules : the exact types of the modules. A subclass does not count, as it may compute anything.
-    functions : the very functions, as one of the user's may have the same name.
+    functions : the functions themselves, not their names: a user's function may have the same name.
     methods : names of a tensor's methods.
-    parameters : what follows the inputs, in torch's order: name -> default. A module has them as
-        attributes.
+    parameters : name -> default of the parameters that follow the inputs, in torch's order. A
+        module has them as attributes.
     inputs : names of the inputs.
     may_share : whether the result may lie in the memory of the input, as a view does.
     arguments_of : finds the arguments of a call if they have no fixed order.
@@ -55,19 +55,22 @@ class TorchForm:
         """
         if self.arguments_of is not None:
             return self.arguments_of(node)
+        # a module has its parameters as attributes; a function takes them behind its inputs
         names = [*self.inputs]
         if module is None:
             names += [*self.parameters, "out"]
         given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
-        unknown = [*node.args[len(names) :], *(name for name in given if name not in names)]
+        unknown = [*node.args[len(names) :]]
+        unknown += [name for name in given if name not in names]
         if unknown:
             raise NotImplementedError(f"the argument {unknown[0]!r} has no compiled form")
+        # without a module, `getattr` gives the default
         defaults = {name: getattr(module, name, value) for name, value in self.parameters.items()}
         return {**defaults, **given}
 
 
 def plain_layer(op: str) -> Rule:
-    """The rule of a layer that has one input and no parameters."""
+    """A rule that adds a layer with one input and no parameters."""
 
     def rule(made: LayerList, call: Call) -> str:
         return made.add(op, call)
@@ -76,5 +79,5 @@ def plain_layer(op: str) -> Rule:
 
 
 def same_layer(made: LayerList, call: Call) -> str:
-    """The rule of a call that passes its input on: no layer of its own."""
+    """The rule of a call that passes its input on: it adds no layer."""
     return made.source(call["input"])

@@ -28,20 +28,22 @@ WAY_OUT = (
     "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
     "whole at every decision"
 )
-"""What to do with a module that is refused, for the end of messages."""
+"""The end of a message about a refused module: what the user can do instead."""
 
 
 def layers_from_torch(
     module: nn.Module, shape: tuple[int, ...], prefix: str = ""
 ) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a module and their weights, as in eval mode. The module itself stays as it is.
+    """The layers of a module as in eval mode, and the weights of the layers.
+
+    The module itself is not changed.
 
     Parameters
     ----------
     module : volumes (1, C, H, W) -> (1, n), made of the modules, functions and methods that
         `networks/torch/operations.py` lists, in place or not.
     shape : shape of a volume, (C, H, W).
-    prefix : what stands before the weights' names, which are otherwise those in `state_dict`.
+    prefix : text before the names of the weights, which are otherwise those of `state_dict`.
 
     Raises
     ------
@@ -61,7 +63,8 @@ def layers_from_torch(
         return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
 
     module = own_copy(module)
-    # A trace looks into the module itself, but takes each known module in it as one call.
+    # A trace looks into the module itself, but takes each known module in it as one call. So a
+    # module that is known itself is put into another one.
     if type(module) in MODULES:
         module = nn.Sequential(module)
     try:
@@ -72,9 +75,10 @@ def layers_from_torch(
         layers, weights = _Conversion(module, LayerList(shape, prefix)).run(graph)
         layer_shapes(layers, shape, {name: w.shape for name, w in weights.items()})
     except ValueError as error:
+        # If the module itself fails on such a volume, with an error of any type, then the shape is
+        # wrong. Otherwise the layers are.
         try:
             _function_of(module)(np.zeros(shape, np.float32))
-        # An error of any type means that the module does not take such volumes.
         except Exception:
             raise error from None
         raise _cannot_be_read(error) from None
@@ -86,7 +90,7 @@ def _cannot_be_read(error: Exception) -> NotImplementedError:
 
 
 def _with_prefix(layer: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """The layer, with the prefix before its weights' names."""
+    """A copy of the layer, with the prefix before the names of its weights."""
     if "weights" not in layer:
         return dict(layer)
     weights = {role: f"{prefix}{name}" for role, name in layer["weights"].items()}
@@ -132,12 +136,12 @@ def _function_of(network: nn.Module) -> Function:
 
 
 def own_copy(module: nn.Module) -> nn.Module:
-    """The module in eval mode, for tracing and running without effects on the caller's.
+    """A copy of the module in eval mode, to trace and run without effects on the caller's module.
 
     Raises
     ------
-    NotImplementedError : it does something that neither a copy nor a trace shows, or cannot be
-        copied.
+    NotImplementedError : the module does something that neither a copy nor a trace shows, or it
+        cannot be copied.
     """
     for name, part in module.named_modules():
         where = f"layer {name!r} ({type(part).__name__})" if name else "the module"
@@ -169,9 +173,9 @@ class _Tracer(fx.Tracer):
 class _Conversion:
     """Reads the nodes of a trace in their order.
 
-    An operation in place is read as one whose result takes its input's place, under all names of
-    that tensor. A view of the tensor would have to change, too: where one is read later, the
-    operation is refused.
+    Several nodes may stand for one tensor. After an operation in place, all of them have the value
+    of the operation's layer. A view of the tensor would have to change, too, which layers cannot
+    do: if a view is read later, the operation is refused.
     """
 
     def __init__(self, module: nn.Module, made: LayerList) -> None:
@@ -179,12 +183,16 @@ class _Conversion:
         self._made = made
         self._position: dict[fx.Node, int] = {}
         self._tensor: dict[fx.Node, fx.Node] = {}
-        """A result in place -> the first node that is the same tensor; others are their own."""
+        """Node of a result in place -> the first node that stands for the same tensor.
+
+        A node that is not here stands for a tensor of its own."""
         self._memory: dict[fx.Node, fx.Node] = {}
-        """What may lie in another node's memory -> that node; others have their own."""
+        """Node whose value may lie in another node's memory -> that other node.
+
+        The value of a node that is not here has memory of its own."""
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
-        """The layers that the output is computed from, and their weights."""
+        """The layers that the output is computed from, and the weights of these layers."""
         self._position = {node: k for k, node in enumerate(graph.nodes)}
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
@@ -204,7 +212,7 @@ class _Conversion:
             raise NotImplementedError(f"the module's output: {error}") from None
 
     def _read_all(self, graph: fx.Graph) -> None:
-        """Read all calls; a NotImplementedError that names all that have no compiled form."""
+        """Read all calls; a NotImplementedError that names all calls without compiled form."""
         refused: list[str] = []
         for node in graph.nodes:
             if node.op in ("placeholder", "get_attr", "output") or _is_size(node):
@@ -213,16 +221,16 @@ class _Conversion:
                 self._read(node)
             except NotImplementedError as error:
                 refused.append(str(error))
-                # any layer will do: later calls may be refused for reasons of their own
+                # any layer, so that later calls are read, too: the message names all refused calls
                 self._made.names[node] = VOLUME
             except ValueError:
-                if not refused:  # otherwise shapes are wrong anyway
+                if not refused:  # after a refused call, shapes are wrong anyway
                     raise
         if refused:
             raise NotImplementedError("; ".join(refused))
 
     def _read(self, node: fx.Node) -> None:
-        """Add a node's layer, if it is one, and keep the name of the layer whose value it has."""
+        """Add the layers of one call, and note which layer computes the node's value."""
         kind, module, form = self._form(node)
         if module is not None:
             where = f"layer {node.target!r} ({kind})"
@@ -247,11 +255,17 @@ class _Conversion:
             raise NotImplementedError(f"{where}: {error}") from None
 
     def _write(self, node: fx.Node, written: fx.Node, name: str) -> None:
-        """Give all names of the written tensor, also the node's own, the value of this layer.
+        """Note a write in place: all nodes of the written tensor now have the value of a layer.
+
+        Parameters
+        ----------
+        node : the call that writes; it becomes a node of the tensor.
+        written : the node whose tensor is written.
+        name : the layer that computes the new value.
 
         Raises
         ------
-        NotImplementedError : another value that lies in its memory is read later.
+        NotImplementedError : another value that lies in the tensor's memory is read later.
         """
         tensor = self._tensor.get(written, written)
         memory = self._memory.get(written, written)
@@ -270,7 +284,10 @@ class _Conversion:
         self._memory[node] = memory
 
     def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
-        """Whether a later operation whose result counts reads its value, and not its size alone."""
+        """Whether an operation behind `after` reads the node's value.
+
+        An operation counts if its own result is used, and if it reads more than the node's size.
+        """
         for user in node.users:
             is_later = self._position[user] > self._position[after]
             counts = user.users or user.op == "output"
@@ -279,7 +296,7 @@ class _Conversion:
         return False
 
     def _with_tensors(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """The module's own parameters and buffers in place of the nodes that read them."""
+        """The arguments, with the module's own tensors in place of the nodes that read them."""
 
         def value(argument: Any) -> Any:
             if isinstance(argument, fx.Node) and argument.op == "get_attr":
@@ -289,7 +306,7 @@ class _Conversion:
         return {name: value(argument) for name, argument in arguments.items()}
 
     def _form(self, node: fx.Node) -> tuple[str, nn.Module | None, TorchForm | None]:
-        """The name of what a node calls, the module if it is one, and what is known of it."""
+        """The name of what a node calls; the module if it calls one; its form if it is known."""
         target: Any = node.target
         if node.op == "call_module":
             module = self._module.get_submodule(str(target))
@@ -301,9 +318,9 @@ class _Conversion:
 
 
 def _is_size(node: fx.Node) -> bool:
-    """Whether it is x.size(...), x.shape, or a number taken from them.
+    """Whether a node is x.size(...), x.shape, or a number taken from one of them.
 
-    The rule of views knows them, no other rule does.
+    Only the rule of views reads such nodes.
     """
     if node.op == "call_method" and node.target == "size":
         return True

@@ -32,7 +32,7 @@ class Call:
 
     @property
     def written(self) -> Any:
-        """The node whose value an operation in place replaces by its result; None for others."""
+        """The node of the tensor that a call in place writes to; None for other calls."""
         target = self.node.target
         name = target if self.node.op == "call_method" else getattr(target, "__name__", "")
         if str(name).endswith("_") or self.arguments.get("inplace"):
@@ -41,7 +41,7 @@ class Call:
 
 
 class LayerList:
-    """The layers of a trace and their weights, so far.
+    """The layers that the calls of a trace have become so far, and the weights of these layers.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class LayerList:
 
     Attributes
     ----------
-    names : node -> the layer whose value it has.
+    names : node -> the layer that computes the node's value.
     """
 
     def __init__(self, shape: tuple[int, ...], prefix: str) -> None:
@@ -67,7 +67,7 @@ class LayerList:
 
         Parameters
         ----------
-        sources : its inputs, nodes or names of layers; by default the call's only input.
+        sources : the layer's inputs, nodes or names of layers; by default the call's only input.
         """
         taken = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = call.node.name
@@ -81,7 +81,7 @@ class LayerList:
         return name
 
     def source(self, node: Any) -> str:
-        """The layer whose value a node has; a layer's name stays."""
+        """The name of the layer that computes a node's value; a layer's name stays as it is."""
         if isinstance(node, str):
             return node
         if isinstance(node, torch.Tensor):
@@ -98,9 +98,9 @@ class LayerList:
         return layer_shapes(self.layers, self._volume, tensors, partial=True)[self.source(node)]
 
     def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-        """The layers that a node's value is computed from, and their weights.
+        """The layers that a node's value needs, and the weights of these layers.
 
-        The last one is the layer of the node itself.
+        The last layer computes the value itself.
         """
         needed = {self.source(output)}
         expect_form(needed != {VOLUME}, "the volume itself")
@@ -113,7 +113,7 @@ class LayerList:
         return layers, {name: values for name, values in self.weights.items() if name in used}
 
     def tensors(self, call: Call, **roles: str) -> dict[str, str]:
-        """Keep a module's tensors.
+        """Keep tensors of the module that is called.
 
         Parameters
         ----------
@@ -134,6 +134,6 @@ class LayerList:
 
 
 def float_array(tensor: torch.Tensor) -> np.ndarray:
-    """The values as float32; a NotImplementedError for a tensor that is not of floating point."""
+    """The values of a floating-point tensor, as float32; other tensors are refused."""
     expect_form(tensor.is_floating_point(), f"a weight of type {tensor.dtype}, not floating point,")
     return np.asarray(tensor.detach().cpu().float())

@@ -1,7 +1,7 @@
-"""Torch's operations that have a compiled form: the one list of them.
+"""The table of the torch forms of all operations.
 
-Each operation of `networks/layers/operations.py` has its ways in: the torch modules, functions and
-methods that become it, and the rule by which a call becomes layers.
+For each operation of `networks/layers/operations.py` it lists the torch modules, functions and
+methods that become this operation, with the rule by which a call becomes layers.
 """
 
 from __future__ import annotations
@@ -244,8 +244,10 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     ),
     "heatmap_centroid": (TorchForm(plain_layer("heatmap_centroid"), modules=(HeatmapCentroid,)),),
 }
-"""Operation -> the ways in which torch says it. A form whose arguments decide which operation it
-becomes stands behind each of them."""
+"""Operation -> its torch forms.
+
+The arguments of some calls decide which operation they become. Each of these operations lists the
+form of such calls."""
 
 PASSED_ON = (
     TorchForm(
@@ -260,7 +262,7 @@ PASSED_ON = (
         same_layer, methods=("contiguous",), parameters={"memory_format": None}, may_share=True
     ),
 )
-"""What passes its input on, and so becomes no layer."""
+"""The forms of calls that pass their input on: such a call becomes no layer."""
 
 ALL_FORMS = (*(form for forms in FORMS.values() for form in forms), *PASSED_ON)
 

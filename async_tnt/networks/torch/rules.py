@@ -1,4 +1,4 @@
-"""How calls of torch's operations become layers, where that takes more than a name."""
+"""The rules by which calls of torch's operations become layers."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ def conv(made: LayerList, call: Call) -> str:
     kernel = _pair(module.kernel_size)
     dilation = _pair(module.dilation)
     if module.padding == "same":
+        # torch puts the extra place of an odd padding at the end
         total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
         before = [n // 2 for n in total]
         after = [n - n // 2 for n in total]
@@ -135,11 +136,14 @@ def _pool(made: LayerList, call: Call, op: str) -> str:
 
 
 def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int:
-    """The padding at the end with which a pooling needs no `ceil_mode` of torch.
+    """The padding at the end that gives a pooling the windows of torch's `ceil_mode`.
 
-    With this padding the last window fits, if it begins inside the input.
+    With `ceil_mode` the last window may reach beyond the padded input, but it must begin inside the
+    input or the padding at the front.
     """
-    last = min(math.ceil((side + 2 * before - kernel) / stride), (side + before - 1) // stride)
+    last_rounded_up = math.ceil((side + 2 * before - kernel) / stride)
+    last_inside = (side + before - 1) // stride
+    last = min(last_rounded_up, last_inside)
     return last * stride + kernel - before - side
 
 
@@ -150,9 +154,9 @@ def adaptive_pool(made: LayerList, call: Call) -> str:
     wanted = size if isinstance(size, (tuple, list)) else (size, size)
     sides = made.shape(call["input"])[1:]
     expect_form(len(sides) == len(wanted) == 2, f"an output size of {size} here")
-    if wanted[0] is wanted[1] is None:
+    if wanted[0] is None and wanted[1] is None:
         return same_layer(made, call)
-    sizes = [n or side for n, side in zip(wanted, sides, strict=True)]
+    sizes = [n or side for n, side in zip(wanted, sides, strict=True)]  # None keeps the side
     return made.add("adaptive_average_pool", call, size=sizes)
 
 
@@ -203,20 +207,25 @@ def divide(made: LayerList, call: Call) -> str:
 
 
 def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
-    """The operand that is computed from the volume, and the other one where it is a constant."""
+    """The operand that is computed from the volume, and the other one if it is a constant.
+
+    The second value is None if the other operand is computed from the volume, too.
+    """
     x = call["input"]
     other = call["other"]
     if isinstance(other, fx.Node):
         x, other = other, x
     if isinstance(other, (int, float)):
         return x, torch.tensor(float(other), dtype=torch.float64)
-    return x, other.detach() if isinstance(other, torch.Tensor) else None
+    if isinstance(other, torch.Tensor):
+        return x, other.detach()
+    return x, None
 
 
 def _affine(made: LayerList, call: Call, x: Any, **constants: torch.Tensor) -> str:
-    """A batch norm that adds a constant `bias` to x, or multiplies it by a constant `weight`.
+    """Add a batch norm that adds a constant `bias` to x, or multiplies x by a constant `weight`.
 
-    The constant has one number, or one for each channel.
+    The constant has one number, or one for each channel. Returns the name of the layer.
     """
     constants |= {"mean": torch.zeros(1), "variance": torch.ones(1)}
     channels, *sides = made.shape(x)
@@ -227,7 +236,7 @@ def _affine(made: LayerList, call: Call, x: Any, **constants: torch.Tensor) -> s
         while shape[:1] == [1]:
             del shape[0]
         expect_form(shape in ([], of_channels), f"a constant of shape {list(values.shape)} here")
-        name = f"{made.prefix}{call.node.name}().{role}"  # unlike any module's
+        name = f"{made.prefix}{call.node.name}().{role}"  # no module's tensor has () in its name
         weights[role] = name
         made.weights[name] = float_array(values.reshape(-1).expand(channels))
     return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
@@ -256,7 +265,7 @@ def flatten(made: LayerList, call: Call) -> str:
 
 
 def view(made: LayerList, call: Call) -> str:
-    """The rule of x.view(n, m), n the batch's size or 1 and m anything, or n -1 and m a number.
+    """Add a flatten for x.view(n, m), where n is the batch size, 1 or -1, and m a whole number.
 
     `check_torch_layers` finds out whether m fits.
     """
@@ -276,7 +285,7 @@ def view_arguments(node: fx.Node) -> dict[str, Any]:
 
 
 def _is_batch_size(node: Any) -> bool:
-    """Whether it is x.size(0), x.size()[0] or x.shape[0]."""
+    """Whether a node is x.size(0), x.size()[0] or x.shape[0]."""
     if not isinstance(node, fx.Node):
         return False
     if node.target is operator.getitem:

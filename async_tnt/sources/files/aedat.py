@@ -11,9 +11,10 @@ ended by \\r\\n.
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
 
       Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128):
-      both are turned round. If a file names no camera, its addresses are taken as they are; but if
-      the caller states the size of a DAVIS, they are those of that DAVIS, such as v2e writes. The
-      clock wraps after 71.6 minutes; times are unwrapped.
+      both are turned round. If a file names no camera, its addresses are read as addresses of a
+      DVS128, and are not turned round. But if the caller states the size of a DAVIS, they are read
+      as addresses of this DAVIS, as v2e writes them. The clock wraps after 71.6 minutes; times are
+      unwrapped.
 
 3.1   The header ends with `#!END-HEADER` and has a line such as `#Source 1: DVS128`. After it:
       packets, little-endian, a header of 28 bytes and then events. The header has
@@ -115,7 +116,7 @@ class Aedat2Source(Source):
                 address, t = _pairs(data, ">u4")
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(PERIOD_US)))
                 x, y, p, is_pixel = self._pixels(address)
-                # times and polarities of these are always valid
+                # no problem can be found: unwrapped times and polarities of one bit are valid
                 events, _ = valid_events(t[is_pixel], x[is_pixel], y[is_pixel], p[is_pixel])
                 yield events
                 n_left = len(data) % EVENT_BYTES
@@ -133,10 +134,15 @@ class Aedat2Source(Source):
             width, height = self._davis
             x = width - 1 - (address >> 12 & 0x3FF)
             y = height - 1 - (address >> 22 & 0x1FF)
-            return x, y, address >> 11 & 1, address & 0x8000_0400 == 0
-        turned = 0 if self.sensor is None else 0x7F  # 127 - n
+            polarity = address >> 11 & 1
+            is_pixel = address & 0x8000_0400 == 0
+            return x, y, polarity, is_pixel
+        turned = 0 if self.sensor is None else 0x7F  # n ^ 0x7F is 127 - n
         x = np.where(address >> 16 == 0, (address >> 1 & 0x7F) ^ turned, -1)
-        return x, (address >> 8 & 0x7F) ^ turned, 1 - (address & 1), address & 0x8000 == 0
+        y = (address >> 8 & 0x7F) ^ turned
+        polarity = 1 - (address & 1)
+        is_pixel = address & 0x8000 == 0
+        return x, y, polarity, is_pixel
 
 
 class Aedat3Source(Source):
@@ -208,12 +214,15 @@ def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterato
         place = file.tell()
         n = min(n_events, BLOCK_EVENTS)
         data = file.read(n * EVENT_BYTES)
-        what, t = _pairs(data, "<u4")
-        is_valid = what & 1 == 1
-        what = what[is_valid]
+        word, t = _pairs(data, "<u4")
+        is_valid = word & 1 == 1
+        word = word[is_valid]
         t = t[is_valid]
         t = np.where(t >> 31 == 0, t + (n_overflows << 31), -1)  # a negative time is not valid
-        events, problem = valid_events(t, what >> 17, what >> 2 & 0x7FFF, what >> 1 & 1)
+        x = word >> 17
+        y = word >> 2 & 0x7FFF
+        polarity = word >> 1 & 1
+        events, problem = valid_events(t, x, y, polarity)
         yield events
         if problem:
             raise CorruptData(f"in the packet around byte {place}: {problem}")

@@ -127,15 +127,18 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         """Begin a new file, which can hold the first of these times."""
         self.close()
         self._file = self._create()
-        # a packet may be out of order: the file's times begin with the earliest of those that
-        # belong together
+        # A packet may be out of order: the file's times begin with the earliest time that lies near
+        # the first one.
         near = t_us[np.abs(t_us - t_us[0]) <= LONGEST_STEP_US]
         self._about = DatFile(Path(self._file.name), int(near.min()))
         self._previous_us = int(t_us[0])
         self._write(self._header)
 
     def _append(self, events: np.ndarray) -> None:
-        """Write events that fit. Counts those that are whole in the file, also after an error."""
+        """Write events that fit, and count the events that are whole in the file.
+
+        They are counted also after an error.
+        """
         about = self._about
         try:
             self._write(dat_records(events, about.first_us))

@@ -96,9 +96,9 @@ def find_recordings(
     folder : holds a folder for each class, with the name of the class, or sessions; `~` is the home
         folder. Hidden files and folders (".cache"), files that are not recordings, and deeper
         folders are ignored.
-    part : part of the data set, such as "Train". The recordings are those in `folder/part`, if that
-        folder exists and has recordings. Sessions are found only if the list for this part names
-        them. Without this list, sessions are found unless the other part's list names them.
+    part : part of the data set, such as "Train". Only the folder `folder/part` is searched, if it
+        exists and has recordings. Sessions are found only if the list for this part names them.
+        Without this list, sessions are found unless the other part's list names them.
 
     Returns
     -------
@@ -244,6 +244,7 @@ def _sessions(folder: Path) -> dict[Path, Path]:
     sessions: dict[Path, Path] = {}
     for name, table in sorted(tables.items()):
         named = [path for path in recordings if path.stem == name]
+        # of files with one name, a text may be a note about the recording
         found = [path for path in named if path.suffix.lower() not in TEXTS] or named
         if len(found) > 1:
             raise ValueError(
@@ -409,12 +410,13 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int,
                     )
                 found[column] = there[0]
             check_once(path, found.values(), [name.strip() for name in fields])
-            return [
-                (
-                    rows.line_num,
-                    {column: (row[given[name]] or "").strip() for column, name in found.items()},
-                )
-                for row in rows
-            ]
+            numbered = []
+            for row in rows:
+                words = {}
+                for column, name in found.items():
+                    word = row[given[name]] or ""  # None in a row that is too short
+                    words[column] = word.strip()
+                numbered.append((rows.line_num, words))
+            return numbered
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None

@@ -196,7 +196,8 @@ def read_hdf5(path: str) -> Iterator[Any]:
                 columns = [columns[0][name] for name in COLUMNS]
             if offset_us:
                 t = columns[0].astype(np.int64)
-                # beyond int64: with the offset, too, it must stay negative
+                # A time beyond int64 is negative now. It must stay negative with the offset, so
+                # that the event is refused.
                 if columns[0].dtype.kind == "u":
                     t[t < 0] = -1 - abs(offset_us)
                 columns[0] = t + offset_us
@@ -308,7 +309,7 @@ def _check_filters(h5py: Any, data: Any) -> None:
 
 
 def _check_complete(data: Any) -> None:
-    """Refuse a data set of which a part was never written.
+    """Refuse a data set that was not written completely.
 
     HDF5 would read zeros there, as many as the header claims.
     """

@@ -53,7 +53,7 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     Returns
     -------
     Structured array of `EVENT_DTYPE`, in order of time, with any pixel up to 255: `open_recording`
-    leaves out those off the sensor. Overflow rows are already applied and removed.
+    leaves out events off the sensor. Overflow rows are already applied and removed.
 
     Raises
     ------

@@ -8,9 +8,9 @@
          are not read.
 
 Times are integer microseconds; polarity is bool, 0/1 or -1/+1. Nothing is unpickled. An array is
-accepted only if its header fits the bytes that follow it: NumPy's own reader allocates the memory
-that a header claims, and reports a damaged one in several lines, some of which advise unpickling
-the file.
+accepted only if its header fits the bytes that follow it. NumPy's own reader would allocate the
+memory that a header claims. It would report a damaged header in several lines, some of which advise
+unpickling the file.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ MAX_HEADER_BYTES = 1 << 16
 """Bytes of the longest header that is read: NumPy alone reads what a header claims, up to 4 GiB."""
 
 MAX_NPZ_BYTES = 1 << 31
-"""Bytes of the largest array that is read from an archive: a small one may unpack to any size."""
+"""Bytes of the largest array that is read from an archive: a small archive may unpack to any
+size."""
 
 
 def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
@@ -88,11 +89,11 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
     try:
         length = file.read(length_bytes)
         header = file.read(min(int.from_bytes(length, "little"), MAX_HEADER_BYTES))
-        with warnings.catch_warnings():  # Python's compiler has some for damaged literals
+        with warnings.catch_warnings():  # Python's compiler warns about damaged literals
             warnings.simplefilter("ignore")
             shape, is_fortran, dtype = read_header(BytesIO(length + header))
         claimed = np.broadcast_to(np.empty((), dtype), shape)
-    # NumPy evaluates it as a Python literal: SyntaxError, TokenError, RecursionError, ...
+    # NumPy evaluates the header as a Python literal: SyntaxError, TokenError, RecursionError, ...
     except Exception:
         raise ValueError("its header does not describe an array") from None
 
@@ -266,11 +267,14 @@ def _columns(order: str | None, *arrays: np.ndarray) -> Four:
                 f"columns, got shape {array.shape} of {array.dtype}"
             )
         arrays = _in_order(array, order) if array.dtype.kind in "iu" else tuple(array.T)
-    columns = named_columns(arrays if len(arrays) > 1 else array) or (np.empty(0, np.int64),) * 4
+    columns = named_columns(arrays if len(arrays) > 1 else array)
+    if columns is None:
+        nothing = np.empty(0, np.int64)
+        columns = (nothing, nothing, nothing, nothing)
     t, x, y, p = columns
     is_whole = all(column.dtype.kind in "iu" for column in (t, x, y)) and p.dtype.kind in "iub"
     if not is_whole or any(column.ndim != 1 for column in columns):
-        # raises an error that names what is wrong, for which values are not needed
+        # this raises an error that names what is wrong; it needs no values for that
         empty = [column[:0] if column.ndim == 1 else column for column in columns]
         checked_columns(empty[0], empty[1], empty[2], empty[3], ANY_SENSOR)
     return columns

@@ -3,9 +3,10 @@
 A recording with many of them is refused, as it is of another sensor.
 
 A flipped bit on a cable, or a lost word of a stream, gives an event a pixel that the sensor does
-not have. Such an event says nothing, but those around it are good. Many of them mean something
-else: the recording is of another sensor than the one that is stated or given. They are many if
-there are more than `FEW` of them and more than `SHARE` of all events, or more than half of all.
+not have. Such an event says nothing, but the events around it are good. Many such events mean that
+the recording is of another sensor than the stated or given one. They are many if there are more
+than `FEW` of them and they are more than `SHARE` of all events, or if they are more than half of
+all events.
 Where no sensor is known, only pixels that no sensor can have are left out: below 0 or beyond 65535.
 """
 
@@ -72,7 +73,7 @@ class SensorCheck:
 
     @property
     def is_another_sensor(self) -> bool:
-        """Whether so many events are off the sensor that the recording must be of another one."""
+        """Whether too many events are off the sensor: the recording must be of another sensor."""
         many = self.n_off > FEW and self.n_off > SHARE * self.n_events
         return many or 2 * self.n_off > self.n_events
 
@@ -92,8 +93,8 @@ class SensorCheck:
 def likely_side(counts: np.ndarray) -> int:
     """The side of a sensor, in pixels, from the number of events at each of its columns (or rows).
 
-    It is the largest column that has an event, plus 1. Strays do not count: columns beyond twice
-    all others that have no more than `SHARE` of all events.
+    It is the largest column that has an event, plus 1. Strays do not count: these are columns more
+    than twice as far out as all others, with no more than `SHARE` of all events in them.
 
     Examples
     --------
@@ -104,7 +105,7 @@ def likely_side(counts: np.ndarray) -> int:
     occupied = np.flatnonzero(counts)
     if not len(occupied):
         return 0
-    beyond = counts.sum() - np.cumsum(counts[occupied])
+    beyond = counts.sum() - np.cumsum(counts[occupied])  # events behind each occupied column
     is_far = occupied[1:] + 1 > 2 * (occupied[:-1] + 1)
     cuts = np.flatnonzero(is_far & (beyond[:-1] <= SHARE * counts.sum()))
     last = occupied[cuts[0]] if len(cuts) else occupied[-1]

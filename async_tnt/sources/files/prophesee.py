@@ -205,7 +205,8 @@ class EvtSource(Source):
             file.seek(self._start)
             place = self._start
             while chunk := file.read(CHUNK_BYTES):
-                n_words = len(chunk) // size * size // version.word.itemsize
+                n_whole_bytes = len(chunk) - len(chunk) % size
+                n_words = n_whole_bytes // version.word.itemsize
                 words = np.frombuffer(chunk, version.word, n_words)
                 if self._halves_swapped:
                     words = np.ascontiguousarray(words.reshape(-1, 2)[:, ::-1]).ravel()
@@ -329,7 +330,8 @@ class DatSource(Source):
                 words = np.frombuffer(chunk, "<u4", 2 * n_events).reshape(-1, 2)
                 t = words[:, 0].astype(np.int64)
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(DAT_PERIOD_US)))
-                x, y, p = [words[:, 1] >> first & (1 << bits) - 1 for first, bits in self._fields]
+                pixel = words[:, 1]
+                x, y, p = [(pixel >> first) & ((1 << bits) - 1) for first, bits in self._fields]
                 events, problem = valid_events(t + self._t0_us, x, y, p)
                 yield events
                 n_read += len(events)

@@ -205,7 +205,7 @@ class Recording:
             n_waiting += len(block)
             if n_waiting < self.packet_events:
                 continue
-            events = np.concatenate(waiting)  # a copy, which packets are parts of
+            events = np.concatenate(waiting)  # a copy: the packets are parts of it
             stop = n_waiting - n_waiting % self.packet_events
             for start in range(0, stop, self.packet_events):
                 yield events[start : start + self.packet_events]
@@ -257,7 +257,7 @@ class Recording:
             self._warn(EventsOffSensor, f"{self.path}: {check}; {left_out}")
 
     def _on_sensor(self, check: SensorCheck) -> Iterator[np.ndarray]:
-        """The events of the part that is read, without those off the sensor.
+        """The events of the part that is read, without events off the sensor.
 
         Raises
         ------
@@ -278,7 +278,9 @@ class Recording:
                     str(self.path),
                     f"{check}: the recording is of another sensor, or damaged{self._sensor_hint()}",
                 )
-            yield events[~off].astype(EVENT_DTYPE) if off.any() else events
+            if off.any():
+                events = events[~off].astype(EVENT_DTYPE)
+            yield events
 
     def _part(self) -> Iterator[np.ndarray]:
         """The source's blocks, or only their events between the two times of `between_us`."""

@@ -379,6 +379,7 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
     y += np.where(is_vector, 8 * (n_vectors - _latest(n_vectors, is_base)), 0)
     polarity = np.where(is_event, value, base) >> 11
 
+    # events without a place, before the first ADDR_X or the first base
     has_pixel &= (np.cumsum(kind == ADDR_X) > 0)[:, None]
     has_pixel[is_vector] &= (np.cumsum(is_base) > 0)[is_vector, None]
     word, pixel = np.nonzero(has_pixel)
@@ -433,6 +434,7 @@ def _cdr_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
         }
     )
     table = np.frombuffer(data + bytes(3), row)
+    # the first row has x and y at the places of "y" and "first y"
     x = np.concatenate([table["y"][:1], table["next x"][:-1]])
     y = np.concatenate([table["first y"][:1], table["y"][1:]])
     return [table["sec"], table["nsec"], x, y, table["p"]]

@@ -186,7 +186,7 @@ def _fits(pixel: np.ndarray) -> bool:
 
 
 def _within_int64(pixel: np.ndarray) -> np.ndarray:
-    """Coordinates that int64 can hold: larger ones, which would wrap, become 2**62."""
+    """Coordinates that int64 can hold: larger coordinates, which would wrap, become 2**62."""
     return np.minimum(pixel, MAX_TIME_US) if pixel.dtype == np.uint64 else pixel
 
 
@@ -197,7 +197,8 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
     ------
     CorruptData : an event is invalid; or polarity changes from 0/1 to -1/+1, or the reverse.
     """
-    off: int | None = None  # the number that this file writes for OFF, 0 or -1; None before one
+    # the number that this file writes for OFF, 0 or -1; None before the first OFF event
+    off: int | None = None
     n_before = 0
     for columns in blocks:
         events, problem = valid_events(*columns)
@@ -205,10 +206,13 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
         if off is None and (p < 1).any():
             off = int(p[int(np.argmax(p < 1))])
         if off is not None:
-            is_other_off = p == -1 - off
+            other_off = -1 - off  # -1 for 0, and 0 for -1
+            is_other_off = p == other_off
             if is_other_off.any():
                 events = events[: int(np.argmax(is_other_off))]
-                problem = f"p = {-1 - off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
+                problem = (
+                    f"p = {other_off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
+                )
         yield events
         n_before += len(events)
         if problem:

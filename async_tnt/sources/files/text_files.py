@@ -89,7 +89,7 @@ _GEOMETRY = re.compile(r"%\s*geometry\s*:\s*(.*)", re.IGNORECASE)
 """The comment in which Metavision's CSV states the sensor."""
 
 _NO_EVENT = re.compile(rb"^[ \t\r]*(?:[#%].*)?$", re.MULTILINE)
-"""A line without an event: a comment, or an empty one."""
+"""A line without an event: a comment, or an empty line."""
 
 
 @dataclass
@@ -169,7 +169,7 @@ class TextSource(Source):
             (name, "f8") if name else (f"skipped {i}", "U1") for i, name in enumerate(self.columns)
         ]
         converters: Any = None
-        # calling a function for each polarity is slow: only where some may be words
+        # a function for each polarity is slow: it is called only if some may be words
         if _WORD.search("\n".join(rows)):
             converters = {self.columns.index("p"): _polarity}
         try:
@@ -314,7 +314,9 @@ def _refuse_whole_times(path: Path, rows: list[_Row], column: int) -> None:
     times = [row[column] for row in words if len(row) > column]
     numbers = [float(time) for time in times if _NUMBER.fullmatch(time)]
     whole = [number for number in numbers if number.is_integer()]
-    if len(whole) == len(times) > 1 and any(whole):
+    are_all_whole = len(whole) == len(times)
+    # times of 0 say nothing about the unit
+    if are_all_whole and len(times) > 1 and any(whole):
         raise ValueError(
             f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, "
             f"{times[1]}, ...); if they are microseconds, write t,x,y,p with commas: CSV's times "
@@ -349,7 +351,7 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
         if len(rows) == 1 and path.stat().st_size == first.end:
             raise ValueError(f"{path}: the file ends in its header, {first.text[:80]!r}")
         header = words
-        start = first.end  # a line end, which the first row may begin with
+        start = first.end  # a line end, with which the first row may begin: blank lines are skipped
     if header is None:
         if len(words) != 4:
             raise ValueError(

@@ -110,7 +110,7 @@ class WorkerSource(Source):
                 worker.submit(library_readers.next_block, limit_s=READ_S)
                 yield block
                 n_read += self._size_of(block)
-            for _ in range(AHEAD - 1):  # the answers behind the end
+            for _ in range(AHEAD - 1):  # the calls ahead have answers, too: None
                 worker.result(SILENCE_S)
         except Exception as error:
             raise CorruptData(f"after {self.unit} {n_read}: {one_line(error)}") from None
@@ -136,7 +136,7 @@ def _worker() -> Iterator[Worker]:
     except BaseException:
         worker.end()
         raise
-    if _idle.setdefault(os.getpid(), worker) is not worker:  # another thread's was kept
+    if _idle.setdefault(os.getpid(), worker) is not worker:  # another thread has kept its worker
         worker.end()
 
 

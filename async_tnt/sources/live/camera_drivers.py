@@ -1,4 +1,4 @@
-"""The camera libraries behind one interface: a driver finds cameras, a device is an opened one."""
+"""The camera libraries with one interface: a driver finds cameras, a device is an open camera."""
 
 from __future__ import annotations
 
@@ -261,7 +261,7 @@ class DvDevice:
         return None
 
     def close(self) -> None:
-        self.handle = None  # the library has no other way
+        self.handle = None  # the library has no method that closes a camera
 
 
 DRIVERS: Mapping[str, Driver] = {

@@ -1,4 +1,4 @@
-"""Cameras: `open_camera` opens one by its name, `Camera` yields its packets."""
+"""Cameras: `open_camera` opens a camera by its name, `Camera` yields the camera's packets."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class Camera(AbstractContextManager["Camera"]):
         The cable or the driver can garble them.
         """
         width, height = self.sensor
-        # unsigned, a pixel below 0 is beyond any sensor
+        # as an unsigned number, a pixel below 0 lies beyond any sensor
         x = events["x"].view(np.uint16)
         y = events["y"].view(np.uint16)
         n = len(events)
@@ -148,7 +148,7 @@ class Camera(AbstractContextManager["Camera"]):
             self._counts.off_sensor += n - len(events)
             n = len(events)
         events = self._clock(events, self._device.time_field, time.monotonic_ns() // 1000)
-        # counted here: `Clock.jumped` leaves out times that no clock shows
+        # counted here, as `Clock.jumped` does not count times that no clock shows
         self._counts.jumped += n - len(events)
         return events
 

@@ -74,8 +74,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
     Parameters
     ----------
-    address, port : where to listen; by default only this machine can send. Port 0 picks a free one:
-        read `port`.
+    address, port : where to listen; by default only this machine can send. With port 0 the system
+        chooses a free port: the attribute `port` has its number.
     format : `t64_x16_y16_on8`, `t32_x16_y15_on1`, `spif` or `spif_t32`, see `encode`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
     buffer_bytes : bytes of the receive buffer to ask the system for; the attribute of this name has
@@ -121,7 +121,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         self.timeout_s = timeout_s
         self.format = format
         self.sensor = sensor
-        # before the decoder, which may have to be compiled: an address that is taken shows at once
+        # The socket comes before the decoder, which may have to be compiled: the error of an
+        # address that is taken comes at once.
         self._socket = _bound_socket(address, port)
         try:
             self._decoder = Decoder(format, sensor, max_jump_s)
@@ -215,9 +216,9 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
                     return None
                 with contextlib.suppress(OSError, ValueError):  # a signal handler closed the source
                     self._selector.select(left)
-                # The datagram that ended the sleep is handed over alone: asking for more takes as
-                # long as a plain `recv`, once its data have left the processor's caches. The next
-                # call reads all the others.
+                # The datagram that ended the sleep is handed over alone, and no other one is asked
+                # for. After a sleep, the data of `recv` have left the processor's caches: to ask
+                # once more would take as long as to receive. The next call reads all the others.
                 most = 1
         return None
 
@@ -240,7 +241,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             while len(ends) < most and filled + ROOM <= BATCH_BYTES:
                 n = receive_into(memory[filled:])
                 self._bytes += n
-                n_whole = n // size  # the next one goes where whole events end
+                n_whole = n // size  # the next datagram goes behind the last whole event
                 self._cut += n_whole * size != n
                 filled += n_whole * size
                 ends.append(filled // size)
@@ -250,7 +251,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
-            # Windows also reports a datagram that was too long, and an answer that was refused
+            # Windows also reports a datagram that was too long, or an answer that was refused: the
+            # source goes on.
         if not ends:
             return None
         events = self._decoder.decode_datagrams(self._raw, ends, arrivals)

@@ -17,7 +17,7 @@ and the pixel is hot if both hold:
     n > 5 plausible                                          far above
     n log(n / plausible) - (n - plausible) > log(100 N)      and not by chance
 
-The second is Chernoff's bound on a Poisson count,
+The second condition follows from Chernoff's bound on a Poisson count,
 
     P(count >= n) <= exp(n - plausible) (plausible / n)^n
 
@@ -133,6 +133,7 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
     rest = counts
     while True:
         mean = max(1.0, rest.mean())
+        # no other pixel can be hot, as `plausible` is at least the mean
         y, x = np.nonzero((rest > FACTOR * mean) & ~hot)
         n = rest[y, x].astype(np.float64)
         plausible = np.maximum(mean, _largest(rest, y, x, RANK))
@@ -157,9 +158,10 @@ def listed_pixels(counts: np.ndarray, hot: np.ndarray) -> list[dict[str, int]]:
 def _largest(counts: np.ndarray, y: np.ndarray, x: np.ndarray, rank: int) -> np.ndarray:
     """The largest count in the 5x5 block around each pixel, after the `rank` largest ones.
 
-    After four it is `neighbours`: if a pixel is larger than its 4th largest neighbour, that is the
-    5th largest count of the block; if not, the 5th largest of the block is no smaller than the
-    pixel, which is then not hot.
+    With a `rank` of four this stands for `neighbours`, although the block contains the pixel
+    itself. If the pixel's count is larger than its 4th largest neighbour, this neighbour is the 5th
+    largest count of the block. If it is not larger, the 5th largest count of the block is at least
+    the pixel's own count: then the pixel is not hot, with either number.
     """
     height = min(BLOCK, counts.shape[0])
     width = min(BLOCK, counts.shape[1])

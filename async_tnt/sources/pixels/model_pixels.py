@@ -138,7 +138,7 @@ class ModelPixels:
 
     @property
     def nothing(self) -> str:
-        """The words of a message about a source of which no event is left for the model."""
+        """The words of a message about a source that has no event for the model."""
         return "no events at the selected pixels" if self.pixels.leaves_out else "no events"
 
     def _advice(self, camera: Sensor | None) -> str:

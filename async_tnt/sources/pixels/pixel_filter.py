@@ -157,7 +157,9 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
         raise ParameterValueError("roi", rule, short(roi))
     left, top, width, height = map(int, numbers)
     region = (left, top, width, height)
-    is_beyond = sensor is not None and (left + width > sensor[0] or top + height > sensor[1])
+    is_beyond = False
+    if sensor is not None:
+        is_beyond = left + width > sensor[0] or top + height > sensor[1]
     if min(left, top) < 0 or min(width, height) < 1 or is_beyond:
         pixels = "" if sensor is None else f" of {format_size(sensor)} pixels"
         rule = (

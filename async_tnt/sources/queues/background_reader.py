@@ -116,15 +116,15 @@ class BackgroundReader(PacketQueue):
         """Put the packets of the source into the queue: the thread's work."""
         try:
             packets = iter(source)
-            # room first, so that the source is never ahead by more than the queue holds
+            # Room comes first: the source is never ahead by more packets than the queue holds.
             while self.wait_for_room():
                 try:
                     packet = next(packets)
                 except StopIteration:
                     break
                 self.put(packet)
-                del packet  # its memory belongs to the consumer
-        except BaseException as error:  # whatever it is, the consumer must see it
+                del packet  # only the consumer keeps the packet's memory
+        except BaseException as error:  # the consumer must see an error of any type
             self.end(error)
         else:
             self.end()

@@ -27,7 +27,8 @@ FASTER_BELOW = 0.05
 """Share of `max_delay_us`: a packet that waited for less makes decisions more frequent again."""
 
 PAUSE = 0.25
-"""Least time between two changes, as a share of `max_delay_us`: a change shows after a while."""
+"""Least time between two changes, as a share of `max_delay_us`: a change takes effect only after a
+while."""
 
 URGENT_PAUSE = 0.05
 """Least time between two changes where the second is urgent, as a share of `max_delay_us`."""
@@ -122,7 +123,7 @@ class KeepUp(BackgroundReader):
         return min(n_steps, MOST_SLOWER)
 
     def _raise_error(self) -> None:
-        self._set(1, 0)  # here the loop ends
+        self._set(1, 0)  # the loop over this reader ends here
         super()._raise_error()
 
     def _hand_out(self) -> Any:
@@ -131,7 +132,7 @@ class KeepUp(BackgroundReader):
         return packet
 
     def _adapt(self) -> None:
-        """Set how often the processor decides, after the wait of the packet that is handed out."""
+        """Set how often the processor decides, by how long the handed-out packet has waited."""
         waited = self.delay_us / self.max_delay_us
         now_ns = time.monotonic_ns()
         pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
@@ -143,7 +144,7 @@ class KeepUp(BackgroundReader):
             self._set(self.slower // 2, now_ns)
 
     def _set(self, slower: int, now_ns: int) -> None:
-        """Make decisions rarer by the factor `slower`, but no rarer than one a window."""
+        """Make decisions rarer by the factor `slower`, but no rarer than one for each window."""
         self.slower = slower
         self._changed_ns = now_ns
         self.slowest = max(self.slowest, slower)

@@ -86,9 +86,9 @@ class PacketQueue:
         copy: bool = True,
     ) -> None:
         self.max_packets = positive_int("max_packets", max_packets)
-        self.max_delay_us = (
-            math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
-        )
+        self.max_delay_us: float = math.inf
+        if max_delay_us is not None:
+            self.max_delay_us = positive_int("max_delay_us", max_delay_us)
         if max_delay_us is not None and not latest:
             rule = "discards packets, which `latest=True` must allow"
             raise ParameterValueError("max_delay_us", rule)
@@ -182,7 +182,8 @@ class PacketQueue:
         error : an error that the loop raises at its end; None: the loop ends without an error.
         """
         with self._came:
-            # closing ends the queue, too: a source that fails because of that is no error
+            # After `close` the queue has ended already: an error that the closing has caused in the
+            # source is dropped.
             if not self._ended:
                 self._ended = True
                 self._error = error
@@ -229,11 +230,11 @@ class PacketQueue:
                 sleeper = loop.create_future()
                 self._sleepers.append(sleeper)
             try:
-                await sleeper  # another task may be faster: hence the loop
+                await sleeper  # another task may take the packet first: then the loop waits again
                 self._yielded_s = loop.time()
             finally:
                 with self._came:
-                    if sleeper in self._sleepers:  # cancelled
+                    if sleeper in self._sleepers:  # this task was cancelled
                         self._sleepers.remove(sleeper)
 
     # -- counts ------------------------------------------------------------------------------------
@@ -314,7 +315,7 @@ class PacketQueue:
         sleepers = self._sleepers
         self._sleepers = []
         for sleeper in sleepers:
-            with contextlib.suppress(RuntimeError):  # that loop is closed, and its tasks are gone
+            with contextlib.suppress(RuntimeError):  # the event loop is closed, its tasks are gone
                 sleeper.get_loop().call_soon_threadsafe(_resolve, sleeper)
 
 
@@ -335,7 +336,9 @@ def measured(packet: Any, copy: bool) -> tuple[Any, int]:
     packet : in any form that `async_tnt.volume.event_forms` lists.
     """
     if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
-        return _copied(packet) if copy else packet, len(packet)
+        if copy:
+            packet = _copied(packet)
+        return packet, len(packet)
     try:
         columns = named_columns(packet)
     except (TypeError, ValueError):
