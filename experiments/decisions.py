@@ -4,11 +4,15 @@ Ours, which computes what has changed, is compared with onnxruntime, OpenVINO, t
 
     python -m experiments.decisions [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, interleaved, on the windows of the bundled recordings; before
-anything is timed, all must give the same logits within 1e-4. Decisions are timed twice: backends
-alternate from call to call (each finds the caches full of the others), and they decide in blocks
-(each has them to itself). Compare within one of these only. Rows whose package is not installed are
-left out, with the reason: `pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
+All backends run in one process with one thread each, and take turns on the windows of the bundled
+recordings. Before anything is timed, all must give the same logits within 1e-4.
+
+Decisions are timed in two ways. In the first, backends alternate from call to call, so each finds
+the caches full of the others' data. In the second, each decides a block of times in a row, with the
+caches to itself. Compare numbers of the same way only.
+
+Rows whose package is not installed are left out, with the reason. To install all:
+`pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-if __name__ == "__main__":  # before any library reads them
+if __name__ == "__main__":  # libraries read these variables when they are imported
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 from async_tnt import load_model, warmup
@@ -43,11 +47,11 @@ QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """Measure everything, and return one JSON object.
+    """The report of all measurements, as one JSON object.
 
     Raises
     ------
-    WorkDiffers : backends do not agree. Then nothing is reported.
+    WorkDiffers : backends do not give the same results. Then there is no report.
     """
     model = load_model(MODEL)
     recordings = bench_recordings(model.config)
@@ -98,7 +102,10 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
+    """Measure, print, and write JSON and the picture if asked.
+
+    Returns 1 if backends do not give the same results.
+    """
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
 
     def measured(quick: bool) -> dict[str, Any]:
