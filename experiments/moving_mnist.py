@@ -122,7 +122,7 @@ def main(argv: list[str] | None = None) -> int:
         if folder is not None:
             check_folder(folder, (MANIFEST,))
     if nmnist is not None:
-        # raises before the long work rather than after it
+        # a folder without recordings is refused here, before the long work
         recordings_by_image(nmnist, args.split)
 
     started = time.monotonic()
