@@ -231,44 +231,22 @@ def translation_table() -> None:
 
 def t_max_table() -> None:
     """Print how many events each t_max keeps, and the size of an image in the last quarter."""
-    windows = sample_windows()
-    at: dict[str, Any] = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
+    windows = [(window, k % 3 * 105_000) for k, window in enumerate(sample_windows())]
+    quarters = np.concatenate([_quarter(window, start_us) for window, start_us in windows])
     rows = []
     for t_max in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0):
-        kept_by = {}
+        kept = {}
         for landmark in ("center", "running", "line"):
-            kept = []
-            quarter = []
-            spread = []
-            spread_raw = []
-            inverse = []
-            for k, window in enumerate(windows):
-                start_us = k % 3 * 105_000
-                t = window["t"]
-                x = window["x"]
-                y = window["y"]
-                u, _, keep = tnt_reference.tnt_coordinates(
-                    t, x, y, start_us=start_us, **at, t_max=t_max, landmark=landmark
-                )
-                kept.append(keep.numpy())
-                quarter.append((t - start_us) * 4 // 105_000)
-                late = keep.numpy() & (quarter[-1] == 3)
-                spread.append(u.numpy()[late].std())
-                spread_raw.append(x[quarter[-1] == 3].std())
-                inverse.append((105_000 / (t_max * (t - start_us)[late])).mean())  # 1 / tau
-            keep_all = np.concatenate(kept)
-            quarter_all = np.concatenate(quarter)
-            kept_by[landmark] = keep_all.mean()
-            if landmark == "running":
-                lost = [1 - keep_all[quarter_all == q].mean() for q in range(4)]
-                shrunk = np.mean(spread) / np.mean(spread_raw)
-                expected = np.mean(inverse)
+            parts = [_transformed(*window, t_max, landmark)[1] for window in windows]
+            kept[landmark] = np.concatenate(parts)
+        lost = [1 - kept["running"][quarters == q].mean() for q in range(4)]
+        size, expected = _size_in_last_quarter(windows, t_max)
         rows.append(
             [
                 f"{t_max:g}",
-                *(f"{100 * kept_by[name]:.1f} %" for name in ("center", "running", "line")),
-                *(f"{100 * q:.1f} %" for q in lost),
-                f"{shrunk:.2f}",
+                *(f"{100 * of_landmark.mean():.1f} %" for of_landmark in kept.values()),
+                *(f"{100 * share:.1f} %" for share in lost),
+                f"{size:.2f}",
                 f"{expected:.2f}",
             ]
         )
@@ -282,6 +260,50 @@ def t_max_table() -> None:
         "1 / tau there",
     ]
     print_table(head, rows)
+
+
+def _quarter(window: np.ndarray, start_us: int) -> np.ndarray:
+    """The quarter of the window in which each event lies: 0, 1, 2 or 3."""
+    return (window["t"] - start_us) * 4 // 105_000
+
+
+def _transformed(
+    window: np.ndarray, start_us: int, t_max: float, landmark: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """The column of each transformed event, and whether the event is kept."""
+    u, _, keep = tnt_reference.tnt_coordinates(
+        window["t"],
+        window["x"],
+        window["y"],
+        start_us=start_us,
+        window_us=105_000,
+        sensor=(34, 34),
+        grid=(34, 34),
+        t_max=t_max,
+        landmark=landmark,
+    )
+    return u.numpy(), keep.numpy()
+
+
+def _size_in_last_quarter(
+    windows: list[tuple[np.ndarray, int]], t_max: float
+) -> tuple[float, float]:
+    """The size of transformed images as a share of their recorded size, and the expected share.
+
+    Both are of the last quarter of windows, with landmark `running`. A size is the standard
+    deviation of columns. The expected share is the mean of 1 / tau.
+    """
+    sizes = []
+    recorded_sizes = []
+    inverse_taus = []
+    for window, start_us in windows:
+        u, keep = _transformed(window, start_us, t_max, "running")
+        is_last = _quarter(window, start_us) == 3
+        late = keep & is_last
+        sizes.append(u[late].std())
+        recorded_sizes.append(window["x"][is_last].std())
+        inverse_taus.append((105_000 / (t_max * (window["t"] - start_us)[late])).mean())
+    return float(np.mean(sizes) / np.mean(recorded_sizes)), float(np.mean(inverse_taus))
 
 
 def border_counts() -> str:

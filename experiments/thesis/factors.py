@@ -51,32 +51,32 @@ def effects(right: Right) -> list[dict[str, Any]]:
     Dictionaries with "trained_on", "row", "against", "effect" (a factor, a pair of factors, or
     "mean"), "seeds", and what `numbers.interval` and `numbers.holm` give.
     """
-    sets = {name: (kind, dark) for name, (kind, dark) in SETS.items() if kind != "beyond"}
+    sets = [name for name, (kind, _) in SETS.items() if kind != "beyond"]
     cells = list(itertools.product(sets, DISTANCES_PX))
-    levels = {
-        name: np.array([level(*sets[s], px) for s, px in cells]) for name, level in FACTORS.items()
-    }
-    pairs = {
-        " and ".join(pair): levels[pair[0]] * levels[pair[1]]
-        for pair in itertools.combinations(levels, 2)
-    }
+    levels: dict[str, np.ndarray] = {}  # shape (cells,)
+    for factor, level_of in FACTORS.items():
+        levels[factor] = np.array([level_of(*SETS[name], px) for name, px in cells])
+    for first, second in itertools.combinations(FACTORS, 2):
+        levels[f"{first} and {second}"] = levels[first] * levels[second]
     found: list[dict[str, Any]] = []
     for on, row in GAINS:
-        columns = [(name, f"{on}/{s}") for name in (row, AGAINST) for s in sets]
+        columns = [(name, f"{on}/{tested}") for name in (row, AGAINST) for tested in sets]
         seeds = set.intersection(*(set(right.get(column, {})) for column in columns))
         if len(seeds) < 2:
             continue
-        gains = np.stack(
-            [[_gain(right, row, f"{on}/{s}", px, k) for k in sorted(seeds)] for s, px in cells]
-        )
-        names = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
-        found.append({**names, "effect": "mean", **interval(gains.mean(0))})
-        for effect, level in (levels | pairs).items():
-            # the mean gain at level 1 minus that at level -1
-            contrast = level / np.sum(level == 1)
-            found.append({**names, "effect": effect, **interval(np.tensordot(contrast, gains, 1))})
-    for effect, p in zip(found, holm([effect["p"] for effect in found]), strict=True):
-        effect["holm"] = p
+        gains_of_cells = []
+        for name, px in cells:
+            column = f"{on}/{name}"
+            gains_of_cells.append([_gain(right, row, column, px, seed) for seed in sorted(seeds)])
+        gains = np.stack(gains_of_cells)  # (cells, seeds, digits)
+        about = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
+        found.append({**about, "effect": "mean", **interval(gains.mean(0))})
+        for effect, level in levels.items():
+            # the mean gain at level 1 minus that at level -1, (seeds, digits)
+            contrast = np.tensordot(level / np.sum(level == 1), gains, 1)
+            found.append({**about, "effect": effect, **interval(contrast)})
+    for result, p in zip(found, holm([result["p"] for result in found]), strict=True):
+        result["holm"] = p
     return found
 
 
