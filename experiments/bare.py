@@ -46,7 +46,7 @@ TESTED = ("accuracy", "recordings", "window_accuracy", "windows")
 def measure(
     folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, str, str, str]
 ) -> dict[str, Any]:
-    """The entry of a set in the report: for each seed a network, trained and tested.
+    """The entry of a set in the report, with a trained and tested network for each seed.
 
     parts : the set's row of `SETS`.
     """
@@ -73,7 +73,7 @@ def measure(
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, test, print and write."""
+    """Train and test the networks, print the tables, and write the report."""
     parser = script_parser("bare", __doc__, "a made set and one epoch")
     for name, (title, *_) in SETS.items():
         add_folder(parser, f"--{name}", title)

@@ -70,7 +70,7 @@ STEP = 5.0
 """Distance from the left of the first axes to the left of the second axes, in inches."""
 
 IMAGES = ("count", "count_time", "mean_time", "time_surface")
-"""Inputs that are images: a window has no bins, and each pixel one value."""
+"""Inputs that are images. A window has no bins: each pixel has one value."""
 
 TRAIN = "n-cars_train"
 """Folder of the training part."""
@@ -113,7 +113,7 @@ SMOOTHED = 2.0
 def measure(
     folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE
 ) -> dict[str, Any]:
-    """The report of one recipe: for each seed a network, trained and tested.
+    """The report of one recipe, with a trained and tested network for each seed.
 
     common : options of every recipe.
     """
@@ -310,7 +310,7 @@ def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, test, print and write."""
+    """Train and test the networks, print the tables, and write the report."""
     parser = script_parser("cars", __doc__, "a made set and one epoch", draws=True)
     parser.add_argument(
         "folder",

@@ -1,15 +1,16 @@
 """How long a decision takes.
 
-Ours, which computes what has changed, is compared with onnxruntime, OpenVINO, torch and eventcv.
+Our engine, which computes what has changed, is compared with onnxruntime, OpenVINO, torch and
+eventcv.
 
     python -m experiments.decisions [--quick] [--json FILE] [--picture FILE]
 
 All backends run in one process with one thread each, and take turns on the windows of the bundled
-recordings. Before anything is timed, all must give the same logits within 1e-4.
+recordings. Before anything is timed, all backends must give the same logits within 1e-4.
 
-Decisions are timed in two ways. In the first, backends alternate from call to call, so each finds
-the caches full of the others' data. In the second, each decides a block of times in a row, with the
-caches to itself. Compare numbers of the same way only.
+Decisions are timed in two ways. In the first way, backends alternate from call to call, so a
+backend finds the caches full of other backends' data. In the second way, a backend makes a block of
+decisions in a row, and has the caches to itself. Compare only numbers of the same way.
 
 Rows whose package is not installed are left out, with the reason. To install all:
 `pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
@@ -102,7 +103,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write JSON and the picture if asked.
+    """Measure the report, print its tables, and write JSON and the picture if asked.
 
     Returns 1 if backends do not give the same results.
     """

@@ -41,7 +41,7 @@ SIMULATED = 20_000
 
 @dataclass(frozen=True)
 class Step:
-    """One training.
+    """One of the five trainings: its settings.
 
     Parameters
     ----------
@@ -136,10 +136,10 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
 
 
 def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
-    """A training whose weights are a mean of those of `before` and those of `fitted`.
+    """The training `fitted`, with the mean of its weights and the weights of the model `before`.
 
-    `before` has the share `kept` in the mean. The model is calibrated again on the held-out
-    windows.
+    The weights of `before` have the share `kept` in the mean. The model is calibrated again on the
+    held-out windows.
     """
     weights = {
         name: kept * before.weights[name] + (1 - kept) * after

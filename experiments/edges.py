@@ -66,8 +66,8 @@ def directions() -> np.ndarray:
 def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The sum of the events' signs and the number of events at each pixel, each (34, 34).
 
-    Each event is first moved back along N-MNIST's path, to the pixel where it would be if the image
-    were in the sensor's centre.
+    Events are first moved back along N-MNIST's path, as if the image had stayed in the sensor's
+    centre.
     """
     dx, dy = PATH.position(events["t"])
     # (3, 3) centres a 28 x 28 image on a 34 x 34 sensor
@@ -149,7 +149,7 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("edges", __doc__, "50 recordings")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "MNIST's IDX files (default: $TNT_DATA/mnist)")

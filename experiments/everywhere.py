@@ -16,7 +16,7 @@ streamed with uniform noise of .3 Hz a pixel. Objects are at least 30 pixels apa
 
 An object is found if the model names its class within 5 pixels of its middle. The middle of an
 object is halfway between the 2nd and the 98th percentile of its events, since some noise is farther
-out. Of several answers, the likeliest one counts first.
+out. Found objects are compared with the scene in order of their probability, the likeliest first.
 
 The report has the F1 score at 105 ms after the start of the first object, and at 30 ms after the
 start of the *last* one. It also has the number of objects that are found in a window of noise.
@@ -110,7 +110,7 @@ NO_OBJECT = "background"
 
 
 def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarray:
-    """The events of a recording, from 0 us on. Of N-MNIST's, one random saccade is taken."""
+    """The events of a recording, from 0 us on. N-MNIST's recordings give one random saccade."""
     if path.suffix != ".bin":
         return open_recording(path).read()
     events = read_nmnist(path)
@@ -232,7 +232,7 @@ def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("everywhere", __doc__, "ten scenes")
     parser.add_argument(
         "models", nargs="*", metavar="MODEL", help="map models of ten digits, or of cars"

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PER_CLASS = (0, 1, 10, 100, 10_000)
-"""Numbers of recordings of each class. The last one is more than any class has, so it means all."""
+"""Numbers of recordings of each class. No class has as many as the last one, so it means all."""
 
 FEWEST_ALONE = 10
 """Least number of recordings of each class without pictures. Fewer are too few to hold some out."""
@@ -65,7 +65,7 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
 
 
 def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> dict[str, Any]:
-    """The report: networks for each number of recordings, with pictures and without, tested."""
+    """The report: accuracies for each number of recordings, with pictures and without."""
     n_pictures = 20 if quick else 60_000
     options = ("--epochs", "1") if quick else ()
     per_class = (0, 10) if quick else PER_CLASS
@@ -124,7 +124,7 @@ def draw(report: dict[str, Any]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure or read, print, write and draw."""
+    """Measure the report or read it, print its tables, and write its files and picture."""
     parser = script_parser(
         "few_recordings", __doc__, "one epoch, 20 pictures, 10 recordings", draws=True
     )

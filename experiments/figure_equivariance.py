@@ -8,9 +8,10 @@ smallest
 
     |F(L_v e) - T F(e)| / |F(e)|
 
-over T. Features count from those of an empty volume. A layer whose cells are 4 pixels apart can
-move along by multiples of 4 pixels only. The features of dense layers have no places, so nothing is
-translated there. Dense layers see the middle 34 x 34 cells, as on the network's own sensor.
+over T. The features of an empty volume are subtracted from F. A layer whose cells are 4 pixels
+apart can move along by multiples of 4 pixels only. The features of dense layers have no places, so
+nothing is translated there. Dense layers see the middle 34 x 34 cells, as on the network's own
+sensor.
 """
 
 from __future__ import annotations

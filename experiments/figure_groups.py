@@ -2,9 +2,9 @@
 
     python -m experiments.figure_groups --picture docs/images/groups.png
 
-The events of a bundled 3 are counted in an image. Once the image is moved or turned before a
-convolution, once its features are moved or turned after it. The picture shows both, and their
-difference relative to the size of the features.
+The events of a bundled 3 are counted in an image. In the first way to its features, the image is
+moved or turned before a convolution. In the second way, the features are moved or turned after the
+convolution. The picture shows both, and their difference relative to the size of the features.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Map = Callable[[torch.Tensor], torch.Tensor]
 
 
 class Case(NamedTuple):
-    """A row of the picture: two ways to features that are the same where equivariance holds.
+    """A row of the picture: two ways to compute features, which equivariance would make the same.
 
     With f the image, `of(before(f))` is compared with `expected(after(f))`.
 
@@ -69,7 +69,7 @@ def edge_filter() -> torch.Tensor:
 
 
 def moved(by: int) -> Map:
-    """A function that moves an image to the right by so many pixels, round the border."""
+    """A function that moves an image to the right by `by` pixels, round the border."""
     return lambda image: image.roll(by, -1)
 
 

@@ -71,9 +71,10 @@ def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.cache
 def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: bool) -> np.ndarray:
-    """Distance between each event of a moving object and that of the object at rest, transformed.
+    """How far the motion of an object moves its transformed events, along x.
 
-    The distances are along x, in units of D / t_max. D is the displacement over the window.
+    It is the distance of each event from the same event of the object at rest, both transformed, in
+    units of D / t_max. D is the displacement over the window.
     """
     # the events come at an even rate, the last one at the window's end
     t = (np.arange(N) + 1) * (WINDOW_US // N)
@@ -127,9 +128,9 @@ def draw_motion_terms(path: str) -> None:
 
 
 def ridge_table() -> None:
-    """Print what `line` makes of a constant flow v by the window's end, if events come evenly.
+    """Print which flow `line` finds at the window's end, if the flow v is constant.
 
-    The formulas beside it are those of docs/theory.md.
+    The events come at an even rate. The columns with formulas are those of docs/theory.md.
     """
     rows = []
     for n in (10, 30, 100, 300, 1_300, 10_000):
@@ -163,7 +164,7 @@ def wander_table() -> None:
 
 
 def sample_windows() -> list[np.ndarray]:
-    """The three windows of each bundled sample. The first one starts at the first event."""
+    """The three windows of each bundled sample. The first window starts at the first event."""
     windows = []
     for path in sample_recordings().values():
         events = open_recording(path).read()
@@ -175,7 +176,7 @@ def sample_windows() -> list[np.ndarray]:
 def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, Any]) -> np.ndarray:
     """The volume that the stream makes of a window's events, moved right and up by `shift` pixels.
 
-    Pixels of the stream are whole numbers, so the shift is one, too.
+    Pixels of the stream are whole numbers, so the shift is a whole number, too.
     """
     volume = async_tnt.TNTVolume(async_tnt.TNTConfig(**options))
     volume.open(start_us)
@@ -186,7 +187,10 @@ def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, A
 
 
 def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, Any]) -> np.ndarray:
-    """The volume that the reference makes of the same events; the shift may be a fraction."""
+    """The volume that the reference makes of a window's events, moved by `shift` as in `streamed`.
+
+    Here the shift may be a fraction.
+    """
     return tnt_reference.tnt_volume(
         window["t"],
         window["x"] + shift,

@@ -1,6 +1,6 @@
 """Make README's moving picture of a stream.
 
-It shows recordings, and what `digits` decides every millisecond.
+The picture shows recordings, and what `digits` decides every millisecond.
 
     python -m experiments.figure_stream --picture docs/images/stream.gif
 

@@ -227,7 +227,7 @@ def measure(nmnist: Path | None, n: int) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("found_paths", __doc__, "eight windows of each kind")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
     add_count(parser, "--windows", 200, "of each kind")

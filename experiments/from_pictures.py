@@ -87,7 +87,7 @@ OPTIONS = {
 
 FOLLOWING = {"poker": VolumeChoice.of(window_us=25_000), "characters": VolumeChoice.of()}
 """Set whose recordings are crops that follow the object -> the choice of its volume. No option of
-`train` simulates such crops: `train_following` does."""
+`async-tnt train` simulates such crops, so `train_following` trains for these sets."""
 
 SENSORS = {"poker": (35, 35), "characters": (32, 32)}
 """Set of `FOLLOWING` -> width and height of its sensor, in pixels."""
@@ -145,7 +145,7 @@ def link_official(nmnist: Path, out: Path) -> None:
 def measure(
     name: str, pictures: Path, tests: list[Path], seeds: int, out: Path, more: tuple[str, ...]
 ) -> dict[str, Any]:
-    """The entry of a set in the report: for each seed a network, trained and tested.
+    """The entry of a set in the report, with a trained and tested network for each seed.
 
     more : options of `train` besides those of `OPTIONS`.
     """
@@ -205,7 +205,7 @@ def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) 
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Draw, train, test, print and write."""
+    """Make the pictures, train and test the networks, print the tables, and write the report."""
     parser = script_parser("from_pictures", __doc__, "one seed and epoch, 20 pictures of MNIST")
     for name in [name for name in TITLES if name != "made"]:
         add_folder(parser, f"--{name}", TITLES[name])

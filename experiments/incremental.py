@@ -1,13 +1,13 @@
 """How much time four networks save by computing only what has changed.
 
-Ours does so. It is compared with onnxruntime, OpenVINO and torch.
+Our engine computes only what has changed. It is compared with onnxruntime, OpenVINO and torch.
 
     python -m experiments.incremental [--quick] [--json FILE] [--picture FILE]
 
 All backends run in one process with one thread each, and take turns as in `experiments.decisions`.
 They see the bundled recordings, whose 34 x 34 pixels are mapped onto each network's grid. Weights
 are random: times do not depend on them as long as about half of the ReLUs are open. Before anything
-is timed, all must give the same logits within 1e-4.
+is timed, all backends must give the same logits within 1e-4.
 
 Packages that are not installed are left out. To install all: `pip install torch==2.13.0 onnx
 onnxruntime openvino`.
@@ -175,7 +175,7 @@ def draw_incremental(report: dict[str, Any]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write JSON and the picture if asked.
+    """Measure the report, print its tables, and write JSON and the picture if asked.
 
     Returns 1 if backends do not give the same results.
     """

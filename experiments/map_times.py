@@ -13,12 +13,13 @@ process with one thread, and is warm. At each moment these are timed in turn:
 - `push` and `fire` with the first event of a window,
 - the whole map of a volume, by our engine and by ONNX Runtime.
 
-Before anything is timed, our objects must be the same to the bit, however the events are cut. ONNX
-Runtime must give our map within 1e-4.
+Before anything is timed, our objects must be the same to the bit for any cut of the events into
+packets. ONNX Runtime must give the same map as our engine, within 1e-4.
 
 With --ssla-rt, SSLA-RT (https://github.com/haohq19/ssla-rt) is measured, too, by its own clock. It
-has a network of its own, which drops three of four events at each of its stages. PROGRAM is its
-`s2_decomp_st`. WEIGHTS is a folder that its `tools/make_ssla_stub.py --h 240 --w 304` wrote.
+has a network of its own, which drops three of four events at each of its stages. PROGRAM is
+SSLA-RT's program `s2_decomp_st`. WEIGHTS is a folder that was written by SSLA-RT's
+`tools/make_ssla_stub.py --h 240 --w 304`.
 
 Last comes the load of a million events a second: recordings sped up, each moving across 320x240
 pixels, with a decision every millisecond. The report has the processor time for each second of the
@@ -127,7 +128,7 @@ def moving(
 
 
 def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network]) -> None:
-    """Check that objects do not depend on how events are cut, and that all networks agree.
+    """Check that objects do not depend on the cut into packets, and that all networks agree.
 
     Raises
     ------
@@ -248,7 +249,7 @@ def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write JSON if asked.
+    """Measure the report, print its tables, and write JSON if asked.
 
     Returns 1 if networks do not give the same results.
     """

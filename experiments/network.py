@@ -53,7 +53,7 @@ WAYS = ("plain_socket", "packet", "decision")
 """Ways of receiving that are compared."""
 
 SHARE_S = 1e-4
-"""Seconds of the load that the sender sends at once, or one datagram if that is more."""
+"""The sender sends the events of this time at once, in seconds. It sends one datagram at least."""
 
 BUFFER_BYTES = 1 << 22
 """Size of the system's buffer for datagrams that wait, in bytes."""
@@ -83,9 +83,10 @@ def send_pings(ports: list[int], n: int) -> None:
 def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
     """Send events at an even rate, and return counts of what was sent.
 
-    The load is sent in shares of `SHARE_S`, or of one datagram if that is more.
+    The events of `SHARE_S` seconds are sent at once, as a share of the load. A share is one
+    datagram at least, or the events of a second if these are fewer.
     """
-    # number of events of a share; at low rates those of a second
+    # number of events of a share
     n = max(1, round(rate * SHARE_S), min(EVENTS, round(rate)))
     events = random_events(n)
     # times before the end of the share; the last event is due at its end
@@ -130,9 +131,9 @@ def other_process(*task: Any) -> subprocess.Popen[str]:
 
 
 def measure_latency(model: Any, n: int) -> dict[str, Any]:
-    """Statistics of the microseconds from `send` until each of `WAYS` has what was sent.
+    """Statistics of the latency from `send` on, for each of `WAYS`, in microseconds.
 
-    `packet_adds` is the time of a packet minus that of the plain socket.
+    `packet_adds` is the latency of a packet minus the latency of the plain socket.
     """
     late_us: dict[str, list[float]] = {way: [] for way in WAYS}
     sensor = model.config.sensor
@@ -152,7 +153,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                 sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
                 for way, source in (("packet", packets), ("decision", deciding)):
-                    # This datagram came together with the one before: we were a round late.
+                    # We were late: this datagram came in one packet with the previous datagram.
                     if n_events[way] > k * EVENTS:
                         continue
                     packet = source.receive(30)
@@ -183,7 +184,7 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
         sending = other_process("load", source.port, seconds, rate)
         try:
             for packet in source:
-                # the first packet may take long, because the sender starts; later ones may not
+                # only the first packet may take long, because the sender starts
                 source.timeout_s = SILENCE_S
                 for decision in processor.push(packet):
                     delays_us.append(time.monotonic_ns() / 1e3 - decision.time_us)

@@ -52,7 +52,7 @@ def one_polarity(share: np.ndarray, side: int, rng: np.random.Generator) -> Plac
 
 
 def pairs(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Noise in which every other event repeats the event before with the other sign."""
+    """Noise in which each event is followed by an event of the other sign at its pixel."""
     x, y, p = noise(share[::2], side, rng)
     n = len(share)
     return x.repeat(2)[:n], y.repeat(2)[:n], np.stack([p, ~p], 1).ravel()[:n]
@@ -133,7 +133,7 @@ in pixels, and with a random generator."""
 
 
 def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, Any]:
-    """The report: the shares of windows decided with confidence, by what stands in them."""
+    """The report: shares of windows that are decided with confidence, for each kind of window."""
     processor = Processor(load_model(model), start_us=0, every_events=1)
     config = processor.config
     rows = {}
@@ -200,7 +200,7 @@ def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("nothing", __doc__, "ten windows of each kind")
     parser.add_argument(
         "--model", default="digits", metavar="NAME|FILE", help="a model (default: digits)"

@@ -131,7 +131,7 @@ def measure(
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, print and write."""
+    """Train the candidates, print the tables, and write the report."""
     parser = plain_parser("recipes", __doc__)
     for name in SETS:
         if name != "sessions":

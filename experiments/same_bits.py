@@ -74,7 +74,7 @@ def digests() -> dict[str, str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print, write or compare. Returns 1 if a digest differs from the recorded one."""
+    """Print the digests, and write or compare them. Returns 1 if one differs from the recorded."""
     parser = plain_parser("same_bits", __doc__)
     add_json(parser)
     parser.add_argument(

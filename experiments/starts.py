@@ -200,7 +200,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("starts", __doc__, "one round, nothing compiled")
     return run_script(parser, argv, measure, "starts")
 

@@ -157,7 +157,7 @@ def draw(report: dict[str, Any]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write what is asked for."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("sustained", __doc__, "a second for each of two loads", draws=True)
     parser.add_argument(
         "--model", default="digits", help="bundled, or a file (default: %(default)s)"

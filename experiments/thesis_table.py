@@ -169,7 +169,7 @@ def _add_results(group: argparse._ArgumentGroup) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, test, compare, and write. Returns the exit code 0."""
+    """Train, test and compare the networks, and write the results. Returns the exit code 0."""
     args = _parsed(argv)
     seeds = list(dict.fromkeys(args.seeds))
     runs = runs_of(args.rows or GROUPS, args.trained_on, seeds)

@@ -37,7 +37,7 @@ N_EVENTS = 400_000
 """Number of events of a stream."""
 
 PASSES = 50
-"""Number of times that one work pushes its stream."""
+"""Number of times that a work pushes its stream."""
 
 ROUNDS = 9
 """Number of times that each work is timed."""
@@ -144,7 +144,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("threads", __doc__, "few events")
     return run_script(parser, argv, measure, "threads")
 

@@ -207,7 +207,7 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
     records = []
     with progress(len(made.modes) * seeds, "training") as bar:
         for seed in range(seeds):
-            # seeds of the data: of training in one and in all directions, then of each test
+            # random seeds of three kinds of data: training in one direction, in all, and tests
             one_seed = (len(made.tests) + 2) * seed
             all_seed = one_seed + 1
             first_test_seed = one_seed + 2
@@ -279,7 +279,7 @@ def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
     parser.add_argument("--set", choices=SETS, default="hands", help="default: hands")
     add_count(parser, "--seeds", 5, "data and networks")

@@ -154,7 +154,7 @@ def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write JSON if asked."""
+    """Measure the report, print its tables, and write JSON if asked."""
     return run_script(
         script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, "bench"
     )

@@ -1,8 +1,8 @@
 """Windows of N-MNIST, one saccade each.
 
-A window has all of its events, or a fifth of them. A fifth is about as few as a recording of an
-object that a hand moves has: its pixels with events have about two, those of a saccade of N-MNIST
-five.
+A window has all of its events, or a fifth of them. In a saccade of N-MNIST, a pixel with events has
+five of them on average. In a recording of an object that a hand moves, it has about two. So windows
+with a fifth of the events are like recordings of hand motion.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def write(
             raise ValueError(
                 f"{source / digit} must hold at least {n or 1} recordings, got {len(files)}"
             )
-        # An order is drawn even where all recordings are shown: later random numbers depend on it.
+        # The order is drawn even if all recordings are shown, because later random numbers depend
+        # on it.
         drawn = rng.permutation(len(files))[:n]
         if n is None:
             shown = [(k, saccade) for saccade in saccades for k in range(len(files))]

@@ -171,7 +171,7 @@ def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     Parameters
     ----------
     rng : draws a delay for each saccade, as measured: normal with standard deviations of 0.6, 3.2
-        and 2.4 ms. (The real ones come in steps of about 5 ms.) None: no delays.
+        and 2.4 ms. (Real delays come in steps of about 5 ms.) None: no delays.
 
     References
     ----------

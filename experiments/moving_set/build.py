@@ -74,8 +74,8 @@ def build(
     which : indices of images; all by default.
     kind : kind of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond"
         (30 motions), or "nmnist" (1).
-    workers : number of processes; one per core by default. A script with more than one needs
-        `if __name__ == "__main__":`.
+    workers : number of processes; one per core by default. A script that uses several processes
+        needs `if __name__ == "__main__":`.
     scene, frame_us : see `simulate_digit`.
 
     Raises

@@ -200,7 +200,7 @@ def _spread(items: list[int]) -> list[int]:
 
 
 def _counted(recordings: Iterator[np.ndarray], bar: Any) -> Iterator[np.ndarray]:
-    """The same recordings. The progress bar moves after each."""
+    """The recordings as they are given. The progress bar moves after each recording."""
     for recording in recordings:
         yield recording
         bar.update()

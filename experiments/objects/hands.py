@@ -52,7 +52,7 @@ AFTER_US = 1_000
 """Longest time from an event to its after-pulse, in microseconds."""
 
 AFTER_OTHER = 0.8
-"""Share of after-pulses whose sign is not that of their event."""
+"""Share of after-pulses that have the opposite sign of their event."""
 
 SOFT_PX = 0.7
 """Width of an object's edge, in pixels."""
@@ -115,7 +115,7 @@ def _strokes(thick: float, *lines: Points) -> Distance:
         nearest = np.full(x.shape, np.inf)
         for line in lines:
             for (x0, y0), (x1, y1) in pairwise(line):
-                # `share` tells where between (x0, y0) and (x1, y1) the nearest point of the line is
+                # the nearest point of the line is at this share of the way to (x1, y1)
                 length_squared = (x1 - x0) ** 2 + (y1 - y0) ** 2
                 along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length_squared
                 share = np.clip(along, 0, 1)

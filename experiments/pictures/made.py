@@ -2,8 +2,8 @@
 
 The kinds are cup, glass (a cup without its handle), bottle, leaf, star and key. Objects and
 backgrounds have textures of power 1/f^2, with light from aside. Each picture shows another object
-of its kind. The recordings show further objects, on a sensor of 48x48 pixels. Their renderer and
-their pixels (`objects/pairs.py`) share no code with those that training simulates.
+of its kind. The recordings show further objects, on a sensor of 48x48 pixels. They are made by a
+renderer and by pixels (`objects/pairs.py`) that share no code with the simulation in training.
 """
 
 from __future__ import annotations

@@ -37,9 +37,9 @@ def bench_every_event(
 
     Returns
     -------
-    dict : backend -> `us`, the processor time of a decision in microseconds, which includes that of
-        the event and of the ends of windows; `a_second`, the number of decisions a second; `ratio`,
-        `us` divided by that of `ours`.
+    dict : backend -> `us`, `a_second` and `ratio`. `us` is the processor time of a decision in
+        microseconds. It includes the time of the event and of the ends of windows. `a_second` is
+        the number of decisions a second. `ratio` is `us` divided by the `us` of `ours`.
 
     Raises
     ------

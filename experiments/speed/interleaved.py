@@ -31,7 +31,7 @@ class WorkDiffers(Exception):
 
 
 class Backend(Protocol):
-    """What is timed: it makes decisions at moments in order of time."""
+    """An engine whose decisions are timed. It decides at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
         """Prepare the decision at a moment. This is not timed.
@@ -84,7 +84,8 @@ def compare(
 
     Parameters
     ----------
-    make : makes new backends. Ratios are to the first one. Called with True for `call_by_call`.
+    make : makes new backends. It is called with True for call by call, with False for blocks.
+        Ratios are to the time of the first backend.
     blocks : see `Moments.blocks`.
     n_blocks, size : number of blocks, and of decisions in each block.
 
@@ -118,7 +119,7 @@ def timed(
     names = list(backends)
     with no_collector():
         for block in blocks:
-            # pairs: a moment of the block, and the backends that decide at it one after the other
+            # each turn: number of a moment in the block, and backends that decide at this moment
             if call_by_call:
                 turns = [(k, rng.permutation(names).tolist()) for k in range(len(block))]
             else:

@@ -16,16 +16,16 @@ import numpy as np
 from async_tnt.cli.bench import machine as this_machine
 
 # Work of milliseconds is timed by the processor time that it takes. Other processes cannot lengthen
-# this time; on a quiet machine it equals that of the wall clock. Windows counts it in steps of
-# 16 ms only, so the wall clock is used there. Latencies, whose tail we report, use the wall clock,
-# too.
+# this time. On a quiet machine it equals the time of the wall clock. Windows counts processor time
+# in steps of 16 ms only, so the wall clock is used there. It is also used for latencies, whose tail
+# we report.
 work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
 
 
 def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
-    """What cases measure that take turns, so that other load affects all of them equally.
+    """The measurements of cases that take turns.
 
-    Every round runs every case once.
+    Every round runs every case once, so that other load affects all cases equally.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """What a decision has to compute.
 
-The counts are of the cells of the volume that new events change, and of the places of each layer
-that changes reach. These places are computed. If the bits of a place stay the same, the change ends
+This module counts the cells of the volume that new events change, and the places of each layer that
+changes reach. These places are computed. If the bits of a place stay the same, the change ends
 there. So fewer places are computed than the events could reach: the transform drops many events,
 and a change ends where the ReLU of every filter stays at zero.
 """

@@ -175,7 +175,10 @@ def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _unseen(found: dict[str, Any]) -> str:
-    """A table of accuracies by what was trained on and tested in: means over seeds and ranges."""
+    """A table of accuracies, with a row for each way to train and a column for each test.
+
+    Cells have the mean over the seeds, and the range if there are several seeds.
+    """
     accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [
@@ -218,7 +221,7 @@ def _record() -> dict[str, Any]:
 
 @of_report("nothing")
 def nothing(found: dict[str, Any]) -> str:
-    """A table of how often a window without any of the classes is decided, by what is in it."""
+    """A table of how often windows are decided that show none of the classes."""
     rows = []
     for name, row in found["rows"].items():
         # some sets were measured by a version that did not report moments

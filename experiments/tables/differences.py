@@ -53,7 +53,7 @@ def thesis_sets() -> str:
 
 
 def effects() -> str:
-    """A table of what the gain over the Baseline depends on. Effects that hold are bold."""
+    """A table of the effects of factors on the gain over the Baseline. Those that hold are bold."""
     by_name: dict[str, dict[tuple[str, str], Difference]] = {}
     for found in results("table")["effects"]:
         by_name.setdefault(found["effect"], {})[found["trained_on"], found["row"]] = found

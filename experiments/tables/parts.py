@@ -1,4 +1,4 @@
-"""What makes recorded results into tables: reading, Markdown, and the text of numbers."""
+"""Parts of all tables: reading of recorded results, Markdown, and the text of numbers."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def map_load(found: dict[str, Any]) -> str:
 
 @of_report("threads")
 def threads(found: dict[str, Any]) -> str:
-    """A table of the time of two streams one after the other, divided by that in two threads."""
+    """A table of how much faster two streams are in two threads than one after the other."""
     words = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",

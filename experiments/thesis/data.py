@@ -59,7 +59,7 @@ class RealData:
 
 @dataclass(frozen=True)
 class RealFolder:
-    """Where N-MNIST is, and how much of it is used.
+    """The folder of N-MNIST, and the part of it that is used.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class RealFolder:
     validation: float = 0.1
     per_digit: int | None = None
 
-    @lru_cache(maxsize=1)  # noqa: B019  (frozen, and one is enough)
+    @lru_cache(maxsize=1)  # noqa: B019  (the class is frozen, and one folder is enough)
     def read(self) -> RealData:
         """Read both folders, once in a process.
 

@@ -2,9 +2,9 @@
 
 The simulated sets are a factorial experiment: eight sets and three distances are all combinations
 of four factors. The gain is the accuracy of a row minus that of the Baseline. The effect of a
-factor is the gain at its one level minus the gain at its other level (of distances: 8 px and 3 px),
-as a mean over all other factors. The effect of two factors together is half of the difference that
-one factor makes to the effect of the other.
+factor is the gain at its high level minus the gain at its low level, as a mean over all other
+factors. The levels of the distance are 8 px and 3 px. The effect of two factors together is half of
+the difference that one factor makes to the effect of the other.
 """
 
 from __future__ import annotations

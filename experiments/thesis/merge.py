@@ -20,10 +20,10 @@ BY_NAME = ("rows", "validation", "curves")
 """Parts of a record that have an entry for each row or network."""
 
 QUESTION = ("question", "row", "against", "column")
-"""Entries by which one difference is told from another."""
+"""Entries that identify a difference."""
 
 EFFECT = ("trained_on", "row", "effect")
-"""Entries by which one effect is told from another."""
+"""Entries that identify an effect."""
 
 
 def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:

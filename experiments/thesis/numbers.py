@@ -9,7 +9,7 @@ variance of their mean is estimated by
 A bootstrap that draws seeds and digits independently has this variance, if both are many (Owen
 2007, The Pigeonhole Bootstrap, arXiv:0712.1111). Because seeds are few, intervals and p are
 Student's, with Satterthwaite's degrees of freedom. All differences of a question, in all of its
-columns, are tested together: those that hold by Holm's method at .05 are claimed.
+columns, are tested together by Holm's method. We claim the differences that hold at .05.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def interval(values: np.ndarray) -> dict[str, float]:
 def differences(right: Right) -> list[dict[str, Any]]:
     """The differences of the pairs in `QUESTIONS`, with their intervals.
 
-    A pair has a difference in each column in which both rows have the same two seeds or more.
+    A pair has a difference in each column in which both rows have at least two seeds in common.
 
     Returns
     -------

@@ -11,10 +11,10 @@ The group `comparison` combines
 - polarity: signed, unsigned or split,
 - augmentation: windows are moved by up to 4 whole pixels, or not. In both cases events are thinned
   at random, which moves nothing. The thesis moves windows for its regressor alone, and does not say
-  how far. Here, every row may have what one row has.
+  how far. Here windows are moved for all inputs, so that the comparison is fair.
 
 In the comparison t_max is 2. Of 2, 3, 4 and 8, it has the lowest loss on held-out digits of the
-training motion. The thesis has t_max = B - 1 = 8. So have its own rows here, and some others.
+training motion. The thesis has t_max = B - 1 = 8. Its own rows and some others have it here, too.
 
 The thesis scales time from a window's first event to its last. Rows of the group `spans` do this,
 over the whole saccade or over 1,000 events. The group `representations` has event images, and TNT
