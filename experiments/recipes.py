@@ -83,7 +83,7 @@ def read(
 
 
 def characters(folder: Path, config: Any) -> TrainingData:
-    """The data of HOTS' characters, in windows of 35 ms. The third and later ones are held out."""
+    """The data of HOTS' characters, in windows of 35 ms. From the third on they are held out."""
     data = read(folder, config.replace(window_us=35_000), sensor=(32, 32), validation=0.0)
     late = data.training.start_us >= 2 * 35_000
     return replace(data, training=data.training[~late], validation=data.training[late])

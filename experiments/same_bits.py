@@ -2,10 +2,10 @@
 
     python -m experiments.same_bits [--json experiments/results/same_bits.json] [--check]
 
-One digest is of volumes: for each landmark that needs no network, each polarity and each image,
-those of the first window of each recording after several numbers of events. For each bundled model,
-another digest is of its logits. --check compares the digests with the recorded ones, and exits with
-1 if one differs.
+One digest is of volumes: of the first window of each recording after several numbers of events, for
+each landmark that needs no network, each polarity and each image. Each bundled model has a digest
+of its logits. --check compares the digests with the recorded digests, and exits with 1 if one
+differs.
 
 Kernels state the order in which they add, so the length of a processor's vectors does not matter.
 Compared so far are x86-64 with AVX2 and with AVX-512, and arm64 under emulation.
@@ -48,7 +48,7 @@ def configs() -> Iterator[TNTConfig]:
 
 
 def digests() -> dict[str, str]:
-    """The digests: `volumes`, and for the logits of each bundled model its name."""
+    """Name -> digest: `volumes` for all volumes, the name of each bundled model for its logits."""
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     volumes = hashlib.sha256()
     for config in configs():
@@ -74,7 +74,7 @@ def digests() -> dict[str, str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print the digests, and write or compare them. Returns 1 if one differs from the recorded."""
+    """Print the digests, and write or compare them. Returns 1 if --check finds a difference."""
     parser = plain_parser("same_bits", __doc__)
     add_json(parser)
     parser.add_argument(

@@ -106,7 +106,7 @@ def _arc(x: float, y: float, radius: float, first: float, last: float) -> Points
 
 
 def _strokes(thick: float, *lines: Points) -> Distance:
-    """The distance from the outline of lines through points.
+    """A function that gives the distance from the outline of lines through points.
 
     thick : half the width of the lines.
     """
@@ -147,7 +147,8 @@ SHAPES: Mapping[str, Distance] = {
     "S": _strokes(BOLD, [*_arc(0.0, -0.4, 0.4, -20, -270), *_arc(0.0, 0.4, 0.4, -90, 160)]),
     "Z": _strokes(BOLD, [(-0.5, -0.8), (0.5, -0.8), (-0.5, 0.8), (0.5, 0.8)]),
 }
-"""Name of a sign -> the distance from its outline, about, if the sign has a radius of 1."""
+"""Name of a sign -> function that gives the approximate distance from its outline, if the sign has
+a radius of 1."""
 
 
 @cache

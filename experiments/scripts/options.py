@@ -50,7 +50,7 @@ def plain_parser(
 
 
 def picture_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """`plain_parser` of a command that draws into --picture."""
+    """A `plain_parser` with the option --picture, for commands that only draw."""
     parser = plain_parser(name, description)
     parser.add_argument(
         "--picture", type=picture_file, metavar="FILE", required=True, help=".png, .svg or .pdf"
@@ -61,9 +61,10 @@ def picture_parser(name: str, description: str | None) -> argparse.ArgumentParse
 def script_parser(
     name: str, description: str | None, quick: str, *, draws: bool = False
 ) -> argparse.ArgumentParser:
-    """`plain_parser` with --quick and --json.
+    """A `plain_parser` with the options --quick and --json.
 
-    If the command draws, it has --picture and --from, too.
+    quick : words for what --quick measures.
+    draws : whether the command also draws. Then it has --picture and --from, too.
     """
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
@@ -163,7 +164,7 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 def exit_with(main: Callable[[], int]) -> NoReturn:
     """Run a command, and end the process with its exit code.
 
-    An error is printed in one line. The exit code of bad input is 2, that of Ctrl-C is 130.
+    An error is printed in one line. The exit code is 2 after bad input, and 130 after Ctrl-C.
     """
 
     def show(message: Warning | str, *where: Any, **more: Any) -> None:

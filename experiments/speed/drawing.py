@@ -59,8 +59,8 @@ WAYS = {
 def draw_decisions(report: dict[str, Any]) -> Figure:
     """Draw two panels with one logarithmic axis, for the network alone and for whole decisions.
 
-    The time of a whole decision is that from a packet to the decision. Lines show medians and
-    quartiles in blocks, and have a name at their end. Hollow marks show medians from call to call.
+    A whole decision takes the time from a packet to the decision. Lines show medians and quartiles
+    in blocks, and have a name at their end. Hollow marks show medians from call to call.
     """
     figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)

@@ -45,7 +45,7 @@ NEEDS = {
 
 
 class Stream:
-    """Ours: a Processor, which has the window's earlier events already."""
+    """Our stream: a Processor, which already has the window's earlier events."""
 
     def __init__(self, model: Model, classifier: Network | None = None) -> None:
         self._processor = Processor(model, classifier=classifier, start_us=0)
