@@ -12,26 +12,20 @@ from async_tnt import Processor
 SCRIPT = """
 import pickle
 import sys
-from numba.core.dispatcher import Dispatcher
+from async_tnt.kernels.entry_points import ENTRY_POINTS
 
-def compiled():
-    # also what was loaded from the cache: on a new machine it would be compiled
-    found = set()
-    for name, module in list(sys.modules.items()):
-        if name.startswith("async_tnt.kernels."):
-            for kernel in vars(module).values():
-                if isinstance(kernel, Dispatcher):
-                    found |= {(kernel.py_func.__name__, types) for types in kernel.signatures}
-    return found
+def ready():
+    # also what was loaded: on another machine it would be compiled
+    return {entry.name for entry in ENTRY_POINTS if entry.is_ready}
 
 made = pickle.load(open(sys.argv[1], "rb"))
 events = pickle.load(open(sys.argv[2], "rb"))
-before = compiled()
+before = ready()
 made.push(events)
 made.push_one(*events.tolist()[-1])
 made.push(tuple(events[-3:][name].copy() for name in "txyp"))
 made.fire()
-print(sorted(name for name, _ in compiled() - before))
+print(sorted(ready() - before))
 """
 MADE = {
     "classes": lambda: Processor(random_model(CONFIG)),
