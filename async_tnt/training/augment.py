@@ -94,9 +94,9 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer the sensor of augmented events is.
+    """How many times finer than `sensor` the sensor of augmented events is.
 
-    This is `FINE`, or less for a sensor with a side of over 1024 pixels.
+    It is `FINE` times finer, or less if a side of `sensor` has over 1024 pixels.
 
     Examples
     --------
@@ -140,7 +140,20 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
     """The draws of the same windows, but some windows now show nothing.
 
+    The last column of `Draws.place` is the share of ON events. The other columns depend on the kind
+    of nothing:
+
+    scattered, of one polarity, on a patch   left, top, width and height of where the events stand
+    at hot pixels                            x and y of three pixels
+    along an edge                            x and y of a point of the edge, its normal (cosine,
+                                             sine), its way along the normal in the window, its
+                                             thickness and its length
+
+    Parameters
+    ----------
+    draws : the draws of N windows.
     kinds : int64, (N,): SHOWN, or the kind of nothing that a window shows, see `Draws.nothing`.
+    rng : draws where the events stand.
     """
     n = len(kinds)
     sensor = np.array(draws.sensor, np.float64)

@@ -104,7 +104,7 @@ class BatchVolumes:
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
-        """The arguments that `window_volumes` and `landmark_gradients` begin with."""
+        """The first arguments of both `window_volumes` and `landmark_gradients`."""
         recordings = windows.recordings
         first = recordings.offsets[windows.recording]
         end = recordings.offsets[windows.recording + 1]

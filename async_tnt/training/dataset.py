@@ -161,9 +161,9 @@ def read_part(
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes, with_pictures)
     names = tuple(found) if classes is None else classes
-    labelled = [
-        (label, recording) for label, name in enumerate(names) for recording in found.get(name, [])
-    ]
+    labelled = []
+    for label, name in enumerate(names):
+        labelled += [(label, recording) for recording in found.get(name, [])]
 
     camera = _camera_of(pixels, first)
     if camera is None:
@@ -330,7 +330,7 @@ class _Reader:
         try:
             recording = _opened(file, self._options)
             if recording.sensor is None and self._camera is not None:
-                recording.sensor = self._camera.size  # another recording states it
+                recording.sensor = self._camera.size  # another recording stated it
             events = recording.read()
         except (ValueError, OSError) as error:
             raise _LeftOut(_message(error, file)) from None

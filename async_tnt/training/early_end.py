@@ -60,10 +60,12 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
         shares = [row[name] for name in SHARES if name in row]
         is_perfect = bool(shares) and min(shares) == 1.0
         n_perfect = n_perfect + 1 if is_perfect else 0
-        gained = [name for name in LOSSES if name in row and row[name] <= (1 - GAIN) * lowest[name]]
-        for name in gained:
-            lowest[name] = row[name]
-        n_without_gain = 0 if gained else n_without_gain + 1
+        has_gained = False
+        for name in LOSSES:
+            if name in row and row[name] <= (1 - GAIN) * lowest[name]:
+                lowest[name] = row[name]
+                has_gained = True
+        n_without_gain = 0 if has_gained else n_without_gain + 1
         if min(n_perfect, n_without_gain) >= PATIENCE:
             return epoch
     return None

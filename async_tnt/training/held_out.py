@@ -121,6 +121,7 @@ def hold_out_ends(
     """
     if not share:
         return training, validation, []
+    # where each training window is: its time in its session, and the rank of its file
     times_us = training.start_us + _session_starts_us(training.recordings)[training.recording]
     files = _file_order(training.recordings)[training.recording]
     is_real = training.recording < n_real
@@ -128,21 +129,23 @@ def hold_out_ends(
     labels = []
     ends = []
     for label in np.setdiff1d(training.labels, validation.labels):
-        mine = np.flatnonzero((training.labels == label) & is_real)
-        mine = mine[np.lexsort((times_us[mine], files[mine]))]  # one file after the other
-        learned, held_out = hold_out_end(len(mine), share)
+        of_class = np.flatnonzero((training.labels == label) & is_real)
+        # file after file, and in order of time in each
+        of_class = of_class[np.lexsort((times_us[of_class], files[of_class]))]
+        learned, held_out = hold_out_end(len(of_class), share)
         if not len(held_out):
             continue
-        first = mine[held_out[0]]
-        learned = mine[learned]
+        learned = of_class[learned]
+        held_out = of_class[held_out]
+        first = held_out[0]
         # Parts of a session may overlap in time. A window that reaches into the first held-out
         # window is not learned from.
         is_elsewhere = files[learned] != files[first]
         ends_before = times_us[learned] + window_us <= times_us[first]
-        is_kept[mine] = False
+        is_kept[of_class] = False
         is_kept[learned] = is_elsewhere | ends_before
         labels.append(int(label))
-        ends.append(mine[held_out])
+        ends.append(held_out)
     if not labels:
         return training, validation, labels
     more = training[np.concatenate(ends)]

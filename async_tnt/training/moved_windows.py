@@ -61,7 +61,7 @@ class MotionSettings:
             raise ParameterValueError("recorded", "must be in [0, 1]", self.recorded)
 
     def for_epochs(self, n: int) -> MotionSettings:
-        """The same settings without the variations that `n` epochs do not show."""
+        """The same settings with at most `n` variations, as `n` epochs show no more."""
         return replace(self, variations=min(self.variations, n))
 
 
@@ -154,7 +154,7 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
     try:
         with open_regular(path) as content, np.load(content) as file:
             return [file[name] for name in names]
-    except Exception as error:  # a damaged archive surfaces as any of a dozen types
+    except Exception as error:  # a damaged archive raises one of a dozen types of errors
         raise damaged(path, type(error).__name__) from error
 
 
@@ -188,7 +188,7 @@ def moved_recordings(
             raise damaged(path, error) from None
         t = columns[0][:n]
         ends = np.searchsorted(t, config.window_us * np.arange(1, len(refused) + 1))
-        t %= config.window_us
+        t %= config.window_us  # since each window's start; `t` is a view of `columns[0]`
         for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
             parts[name].append(column[:n].astype(dtype))
         offsets.append(offsets[-1][-1] + ends)

@@ -164,7 +164,7 @@ def _separable(channels: int, n_filters: int) -> list[nn.Module]:
 
 
 def _head(channels: int, n_classes: int, *between: nn.Module) -> list[nn.Module]:
-    """The mean over all places, and a dense layer."""
+    """The last layers of a network: the mean over all places, `between`, and a dense layer."""
     return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), *between, nn.Linear(channels, n_classes)]
 
 

@@ -174,7 +174,7 @@ class SceneScores:
                 maps = pipeline.classify(torch.from_numpy(scenes.volumes)).cpu().numpy()
             for k, logits in enumerate(maps):
                 n = self._reader.read(logits, self._tracks, 0, False)
-                objects = self._reader.found[: max(0, n)]  # none where a logit is not finite
+                objects = self._reader.found[: max(0, n)]  # n < 0: a logit is not finite
                 inside = scenes.scene == k
                 scores += score_objects(
                     objects,

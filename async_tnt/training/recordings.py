@@ -56,7 +56,7 @@ class Recordings:
 
     @cached_property
     def middles(self) -> np.ndarray:
-        """float64, shape (R, 2): (x, y) half way between the outermost events of each recording."""
+        """The point (x, y) half way between each recording's outermost events: float64, (R, 2)."""
         middles = np.zeros((len(self), 2))
         with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` has no empty slices
         if not len(with_events):

@@ -270,7 +270,8 @@ def _open(
     content = _read_manifest(folder / MANIFEST)
     files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
     refused, spans, paths = _paths(files["training"])
-    moving = np.flatnonzero(_paths(files["held-out"])[1])
+    _, held_out_spans, _ = _paths(files["held-out"])
+    moving = np.flatnonzero(held_out_spans)
     moved = moved_recordings(files["held-out"], 0, held_out.labels, config)
     record = {
         **asdict(settings),
@@ -354,12 +355,13 @@ def examples(
     window_us = motions.config.window_us
     found = np.flatnonzero(motions.spans)
     labels, firsts = np.unique(training.labels[found], return_index=True)
+    # the first window of each class that has a path, for classes that are spread evenly
     spread = np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int)
+    chosen = found[firsts[np.unique(spread)]]
     reconstruction = Reconstruction(motions.config.sensor, window_us, motions.record["cell"])
     around_us = window_us * training.neighbours(window_us)
     shown = [
-        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes)
-        for i in found[firsts[np.unique(spread)]]
+        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in chosen
     ]
     refused = []
     for reason in list(motions.record["without_path"])[:N_REFUSED]:

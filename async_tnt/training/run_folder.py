@@ -81,8 +81,8 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
             file.seek(0)
             state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
             written = state["identity"]["format"]
-        except Exception as error:  # a damaged archive surfaces as any of a dozen types
-            # The error's text is not repeated: torch's advises loading the file unsafely.
+        except Exception as error:  # a damaged archive raises one of a dozen types of errors
+            # The error's text is not repeated, because torch advises to load the file unsafely.
             kind = type(error).__name__
             raise ValueError(
                 f"{path} is not a readable checkpoint ({kind}); remove it to start again"
@@ -163,9 +163,9 @@ def other_run(folder: Path, what: str) -> ValueError:
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
-    """Write loss and accuracy against epochs, as PNG.
+    """Plot loss and accuracy against epochs into a PNG file.
 
-    Returns False, and writes nothing, where matplotlib is not installed.
+    Returns False, and writes nothing, if matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure

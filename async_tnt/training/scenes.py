@@ -35,7 +35,7 @@ SIDES = 3
 OBJECTS = 2.5
 """Number of objects of a scene, in the mean."""
 FEWEST = 10
-"""Fewest events of an object that counts."""
+"""Fewest events of a recording that counts as an object."""
 APART = 0.4
 """Least distance between two objects, as a share of a recording's shorter side."""
 TRIES = 20
@@ -113,13 +113,17 @@ class SceneMaker:
         windows = windows.cut(self.config.window_us)
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
         n_scenes = int(scene.max()) + 1
+        # each scene ends when a window drawn at random would end
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
         is_late = rng.random(n) < 0.5
-        later_us = np.where(is_late, rng.integers(0, max(1, self.config.window_us // 2), n), 0)
+        later_us = rng.integers(0, max(1, self.config.window_us // 2), n)
+        later_us[~is_late] = 0
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         own = self._crops(windows, draws)
         is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)
 
+        # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
+        # `fine` times finer than the recording's.
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
         recorded = _middles(windows, until_us[scene] - later_us)
         middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded)

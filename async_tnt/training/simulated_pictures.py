@@ -57,8 +57,8 @@ LEAST_TAKES = {"training": 2, "held-out": 1}
 MOST_TAKES = 200
 """Largest number of recordings of each picture."""
 FULL_PIXELS = 128 * 128
-"""Pixels of the largest sensor that has all of `RECORDINGS`. The number of recordings falls with
-the number of pixels beyond it."""
+"""Most pixels of a sensor that has all of `RECORDINGS`. A larger sensor has fewer recordings, in
+inverse proportion to its number of pixels."""
 FOLLOWED = 6
 """Factor by which a simulation takes longer if the sensor follows the object, in the mean. The
 pixels of such a sensor count this many times."""
@@ -151,11 +151,9 @@ def check_pictures(
     ValueError : the same picture is in two classes; a class without recordings has no picture that
         can be read.
     """
-    pictures = [
-        LabelledPicture(path, label)
-        for label, name in enumerate(classes)
-        for path in found.get(name, [])
-    ]
+    pictures = []
+    for label, name in enumerate(classes):
+        pictures += [LabelledPicture(path, label) for path in found.get(name, [])]
     good: list[LabelledPicture] = []
     left_out: list[str] = []
     if not pictures:
@@ -341,7 +339,9 @@ def _chunks(
     part: str, pictures: Sequence[LabelledPicture], takes: int, folder: Path, size: int
 ) -> list[_Chunk]:
     """The tasks that make `takes` recordings of each picture, `size` recordings in a file."""
-    recordings = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
+    recordings = []
+    for i, picture in enumerate(pictures):
+        recordings += [(picture, i, take) for take in range(takes)]
     return [
         _Chunk(folder / f"{part}_{first:06}.npz", recordings[first : first + size])
         for first in range(0, len(recordings), size)
@@ -474,5 +474,6 @@ def measure_camera(
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
     columns = [np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)]
-    windows = zip(*columns, strict=True)
-    return measure_pixels(list(windows)[:-1], sensor, window_us)
+    windows = list(zip(*columns, strict=True))
+    complete = windows[:-1]  # the last window may be cut short
+    return measure_pixels(complete, sensor, window_us)

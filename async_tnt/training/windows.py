@@ -71,7 +71,11 @@ class Windows:
         """
         starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
         known = set(starts)
-        beside = [[(r, t - window_us) in known, (r, t + window_us) in known] for r, t in starts]
+        beside = []
+        for recording, start_us in starts:
+            before = recording, start_us - window_us
+            after = recording, start_us + window_us
+            beside.append((before in known, after in known))
         return np.array(beside, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:
