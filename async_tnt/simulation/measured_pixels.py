@@ -22,8 +22,8 @@ LARGEST_RATIO = 4.0
 """Largest ratio of the ON and the OFF threshold, or of OFF and ON. Measured ratios beyond it are
 cut off."""
 REFRACTORY_SHARE = 0.01
-"""Share of the intervals between a pixel's events that may be shorter than the longest possible
-refractory time."""
+"""The bound of the refractory time is this quantile of the intervals between a pixel's events. So
+this share of the intervals may be shorter."""
 
 
 @dataclass(frozen=True)

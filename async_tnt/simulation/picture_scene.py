@@ -126,11 +126,12 @@ def record_picture(
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
     scene = _scene(picture, side_px, reach, settings, rng)
 
-    # at half time the object is anywhere on the sensor
-    half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
-    free = np.maximum(0, np.array(settings.sensor) / 2 - half)
+    # At half time the object is anywhere on the sensor, but all of it.
+    size_px = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape)
+    free = np.maximum(0, np.array(settings.sensor) / 2 - size_px / 2)
     middle = (np.array(scene.sensor) - 1) / 2
-    displacement = middle + rng.uniform(-free, free) - scene.centre + motion
+    place = middle + rng.uniform(-free, free)
+    displacement = place - scene.centre + motion
 
     times_us = settings.window_us * shares
     pixels = random_pixels(rng, settings.camera)
@@ -142,13 +143,16 @@ def record_picture(
     parts = []
     way_px = np.hypot(*np.diff(motion, axis=0).T).sum()
     n_parts = max(1, math.ceil(way_px / smaller))
-    for frames in np.array_split(np.arange(len(times_us) - 1), n_parts):
-        some = slice(frames[0], frames[-1] + 2)
-        first = np.floor(motion[some].min(0)).astype(int)
-        last = np.ceil(motion[some].max(0)).astype(int)
+    steps = np.arange(len(times_us) - 1)  # step k leads from frame k to frame k + 1
+    for part_steps in np.array_split(steps, n_parts):
+        frames = slice(part_steps[0], part_steps[-1] + 2)
+        first = np.floor(motion[frames].min(0)).astype(int)
+        last = np.ceil(motion[frames].max(0)).astype(int)
         width, height = (np.array(settings.sensor) + last - first).tolist()
         part = replace(scene, sensor=(width, height))
-        events = part.events(times_us[some], displacement[some] - first, turn[some], pixels, rng)
+        events = part.events(
+            times_us[frames], displacement[frames] - first, turn[frames], pixels, rng
+        )
         parts.append(_crop(events, times_us, motion, first, settings.sensor))
     return np.concatenate(parts)
 
@@ -164,7 +168,8 @@ def _draw_motion(
     pixels, (n, 2). The turn at these times, (n, 2), see `PeriodicImage.frames`.
     """
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
-    length = min(settings.sensor) * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
+    log_share = rng.uniform(*np.log((SHORTEST, longest)))
+    length = min(settings.sensor) * float(np.exp(log_share))
     fine = np.linspace(0, 1, FINE)
     motion, turn = random_motion(
         length, fine, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
@@ -245,7 +250,11 @@ def _scene(
     rng : draws the scene.
     """
     sensor = np.array(settings.sensor)
-    apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
+    gap = np.full(2, 0.5 * side_px)
+    if not settings.follow:
+        gap = np.maximum(gap, 2 * reach)
+    # the distance between copies of the object; it is still enough after a turn and growth
+    apart = sensor + side_px + gap
     apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
     # Sides that are multiples of 8 have a fast Fourier transform.
@@ -269,7 +278,8 @@ def _scene(
         seen = 1.0 - seen
 
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
-    darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
+    contrast = np.exp(rng.uniform(*np.log(CONTRASTS)))
+    darkest = 1.0 / contrast
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
     image = np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1))
     return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor)

@@ -23,8 +23,8 @@ from async_tnt.base.messages import one_line
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of the formats of these suffixes. Pillow would also open files of other formats by
-their first bytes, and start programs for some."""
+"""Pillow's names of the formats with these suffixes. Without this list, Pillow would open files of
+other formats, too, which it knows by their first bytes, and start programs for some of them."""
 MAX_PIXELS = 50_000_000
 """Most pixels of a picture that is read. To decode more pixels takes more than a gigabyte."""
 LARGEST_SIDE = 512
@@ -68,7 +68,7 @@ def read_picture(path: Path) -> Picture:
         colours = _colours(path)
     except ImportError:
         raise
-    except Exception as error:  # a damaged file surfaces as any of a dozen types
+    except Exception as error:  # a damaged file raises one of a dozen types of errors
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ValueError(f"not a picture: {one_line(error)}") from None
@@ -92,7 +92,10 @@ def read_picture(path: Path) -> Picture:
 
 
 def _colours(path: Path) -> np.ndarray:
-    """Red, green, blue and alpha from 0 to 1, (h, w, 4), upright, at most `LARGEST_SIDE` large."""
+    """Read red, green, blue and alpha: float32, (h, w, 4), from 0 to 1.
+
+    The picture is upright, and its sides are at most `LARGEST_SIDE`.
+    """
     with needs_extra("train", "pictures need Pillow"):
         from PIL import Image, ImageOps, UnidentifiedImageError
     with warnings.catch_warnings(), open_regular(path) as content:
@@ -127,7 +130,7 @@ def _colours(path: Path) -> np.ndarray:
 def _cut_out(
     light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray
 ) -> Picture:
-    """The part of a picture between the object's outermost pixels."""
+    """Cut a picture to the smallest rectangle around its object."""
     if not is_object.any():
         raise ValueError("nothing is on this picture: all of it is transparent, or alike")
     rows = np.flatnonzero(is_object.any(1))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 SHORTEST_TIME = 0.4
-"""Least duration, as a share of the window."""
+"""Least duration of a motion, as a share of the window."""
 WIDEST_BEND = 0.4
 """Largest distance that a motion goes sideways, as a share of its length."""
 TURNS_AT = (0.4, 0.9)

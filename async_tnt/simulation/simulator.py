@@ -166,7 +166,7 @@ def simulate(
 def _thresholds(
     mean: float, mismatch: float, shape: tuple[int, ...], rng: np.random.Generator
 ) -> np.ndarray:
-    """A threshold for each pixel."""
+    """Draw a threshold for each pixel."""
     return np.maximum(mean * np.exp(mismatch * rng.standard_normal(shape)), MIN_THRESHOLD)
 
 
