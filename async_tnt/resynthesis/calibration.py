@@ -103,7 +103,8 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
     target = describe(recorded, model.sensor)
     n_events = sum(map(len, recorded))
     candidates = []
-    for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
+    shares = REFRACTORY_SHARES if measured.refractory_us else (0.0,)
+    for share in shares:
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
         pixels, simulated = _scaled(pixels, images, n_events, seed)
         found = describe(simulated, model.sensor)
@@ -225,5 +226,6 @@ def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
     lines = [" " * margin + "".join(f"{title:>{width}}" for title in columns)]
     for name in names:
         values = [f"{column[name]:.2f}" if name in column else "-" for column in columns.values()]
-        lines.append(f"{labels[name]:<{margin}}" + "".join(f"{value:>{width}}" for value in values))
+        row = "".join(f"{value:>{width}}" for value in values)
+        lines.append(f"{labels[name]:<{margin}}{row}")
     return "\n".join(lines)

@@ -2,7 +2,7 @@
 
 The image L is the log luminance at the window's start, in units of the pixels' threshold. The
 window is divided into K equal parts, and r_k is the image's displacement at the end of the k-th
-part. Then the sum of a pixel's events up to this moment, each ON event +1 and each OFF event -1, is
+part. Then the sum of a pixel's events up to this moment, with OFF events negative, is
 
     c_k(x) = L(x - r_k) - L(x) + e_k(x)
     cov(e_k, e_m) = V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
@@ -323,7 +323,9 @@ def centre_of(image: np.ndarray) -> np.ndarray:
 
 
 def fft_size(least: int) -> int:
-    """The smallest odd number from `least` on without a prime factor above 7.
+    """The smallest odd number, `least` or more, that has no prime factor above 7.
+
+    The Fourier transform of such a size is fast.
 
     Examples
     --------

@@ -40,7 +40,7 @@ TURNS = (0.4, 0.55, 0.7, 0.85)
 BACK_LENGTHS = LENGTHS[:4]
 """Lengths of the dictionary's paths that come back, in cells."""
 BEND = 0.2
-"""Standard deviation of a path's second differences, in cells."""
+"""Standard deviation of a path's second differences in the prior, in cells."""
 
 MOST_STEPS = 20
 """Most steps of the search from the best path of the dictionary on."""
@@ -238,10 +238,12 @@ class PathFinder:
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         share = np.arange(1, N_FRAMES + 1) / N_FRAMES
+        # A profile tells which share of its length a path is away from its start: (K,).
         out = [share] + [minimum_jerk((share - start) / (end - start)) for start, end in PROFILES]
         back = [(1 - np.cos(np.pi * share / turn)) / 2 for turn in TURNS]
         paths = []
         for lengths, profiles in ((LENGTHS, out), (BACK_LENGTHS, back)):
+            # (directions, lengths, profiles, K, 2)
             every = np.einsum("ad,l,pk->alpkd", direction, np.array(lengths), np.array(profiles))
             paths.append(every.reshape(-1, N_FRAMES, 2))
         return np.concatenate(paths)
