@@ -317,7 +317,9 @@ def centre_of(image: np.ndarray) -> np.ndarray:
     power = sum((np.roll(image, -1, axis) - np.roll(image, 1, axis)) ** 2 for axis in (0, 1))
     centre = []
     for axis, n in ((0, image.shape[1]), (1, image.shape[0])):
-        angle = np.angle((power.sum(axis) * np.exp(2j * np.pi * np.arange(n) / n)).sum())
+        # place k of n is the angle 2 pi k / n on a circle
+        on_circle = np.exp(2j * np.pi * np.arange(n) / n)
+        angle = np.angle((power.sum(axis) * on_circle).sum())
         centre.append(angle % (2 * np.pi) / (2 * np.pi) * n)
     return np.array(centre)
 

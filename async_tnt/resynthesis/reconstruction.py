@@ -181,6 +181,7 @@ class Reconstruction:
         for first in range(0, len(windows), BATCH):
             batch = windows[first : first + BATCH]
             found = self._reconstruct(batch, pixels, 1)
+            # windows that do not tell their path alone, but have events of their neighbours
             unclear = [
                 i
                 for i, window in enumerate(batch)

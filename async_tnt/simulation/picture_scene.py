@@ -311,16 +311,17 @@ def _posed(
     corners = np.array([(0, 0), (0, height), (width, height), (width, 0)], float)
     # the corners of a thin object move less, so that they do not cross
     most = np.minimum(POSTURE * side, np.array(size) / 3)
-    seen = corners + most * rng.uniform(0, 1, (4, 2)) * np.where(corners > 0, -1, 1)
+    inwards = np.where(corners > 0, -1, 1)
+    seen = corners + most * rng.uniform(0, 1, (4, 2)) * inwards
     coefficients = _perspective(seen, corners)
 
+    # a photograph has no ground of its own: it fades into the random one
     is_photograph = picture.ground is None and picture.cover.min() == 1
     cover = _rim(picture.cover) if is_photograph else picture.cover
     layers = []
     for layer in (picture.light * cover, cover):
-        sized = Image.fromarray(np.asarray(layer, np.float32)).resize(
-            size, Image.Resampling.BILINEAR
-        )
+        original = Image.fromarray(np.asarray(layer, np.float32))
+        sized = original.resize(size, Image.Resampling.BILINEAR)
         posed = sized.transform(
             size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR
         )

@@ -75,6 +75,7 @@ def read_picture(path: Path) -> Picture:
 
     rgb = colours[..., :3]
     alpha = colours[..., 3]
+    # decode sRGB
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     light = (linear @ LUMINANCE).astype(np.float32)
     if min(light.shape) < 2:

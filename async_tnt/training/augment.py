@@ -160,6 +160,7 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
     place = np.zeros((n, 8))
     place[:, 2:4] = sensor  # the whole sensor, unless a kind needs less
     on_share = rng.uniform(0.0, 1.0, n)
+    # of one polarity: all events are ON, or all are OFF
     of_one = kinds == ONE_POLARITY
     on_share[of_one] = rng.random(of_one.sum()) < 0.5
 
@@ -169,11 +170,12 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
 
     hot = kinds == HOT_PIXELS
     place[hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((hot.sum(), 6)))
-    # A window has one, two or three different hot pixels: the others are again its first one.
+    # One, two or three of a window's three hot pixels are different. The others repeat the first.
     n_different = rng.integers(1, 4, hot.sum())
     for k in (1, 2):
-        own = place[hot, 2 * k : 2 * k + 2]
-        place[hot, 2 * k : 2 * k + 2] = np.where((n_different > k)[:, None], own, place[hot, :2])
+        drawn = place[hot, 2 * k : 2 * k + 2]
+        is_different = (n_different > k)[:, None]
+        place[hot, 2 * k : 2 * k + 2] = np.where(is_different, drawn, place[hot, :2])
 
     edge = kinds == EDGE
     angle = rng.uniform(0.0, 2 * np.pi, edge.sum())

@@ -142,8 +142,8 @@ def read_part(
         there must be two.
     with_pictures : classes that need no recordings, because they have pictures.
     first : the part to train on, when another part is read. The other part must be of the same
-        camera and classes. If it holds a recording of `first`, this is left out, or an error if its
-        class differs.
+        camera and classes. A recording that is in `first`, too, is left out. If its class differs,
+        it is an error.
 
     Raises
     ------

@@ -247,6 +247,7 @@ class ObjectsInScenes:
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
         """The loss of scenes that are made of a batch of windows, augmented by `draws`."""
+        # the same windows and draws give the same scenes
         if draws is None:
             rng = np.random.default_rng(windows.recording.tolist())
             draws = unchanged(len(windows), self._maker.crops)
@@ -258,7 +259,8 @@ class ObjectsInScenes:
         target = torch.from_numpy(targets)
         weight = torch.from_numpy(weights).to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
-        is_object = target < self._map[0] - 1
+        nothing = self._map[0] - 1
+        is_object = target < nothing
         is_right = logits.detach().argmax(1).cpu() == target
         return BatchLoss(
             (losses * weight).sum() / weight.sum(),
@@ -277,6 +279,7 @@ class ObjectsInScenes:
         target = np.full(shape, nothing, np.int64)
         weight = np.ones(shape, np.float32)
         nearest = np.full(shape, np.inf)
+        # place (row, column) of a map is at (x0 + dx column, y0 + dy row), in sensor pixels
         x0, dx, y0, dy = self._places
         for scene, label, (x, y) in zip(scenes.scene, scenes.label, scenes.position, strict=True):
             across = np.abs(x0 + dx * np.arange(columns) - x)

@@ -297,13 +297,13 @@ def first_weights(layers: Sequence[Layer]) -> list[str]:
 def _scaled(
     name: str, layers: Sequence[Layer], channels: int, scale: float
 ) -> tuple[list[Layer], dict[str, Any]]:
-    """The layers after a new first layer that multiplies the volume by `scale`.
+    """Put a new layer, which multiplies the volume by `scale`, before the layers.
 
     The new layer is a batch norm.
 
     Returns
     -------
-    All layers, the new one first, and the tensors of the new layer.
+    All layers, the new layer first, and the tensors of the new layer.
     """
     values = {"mean": 0.0, "variance": 1.0, "weight": scale}
     roles = {role: f"{name}.scale.{role}" for role in values}
@@ -316,6 +316,7 @@ def _scaled(
     }
     others = []
     for layer in layers:
+        # a layer that read the volume now reads the new layer's output
         inputs = ["scaled volume" if value == VOLUME else value for value in layer["inputs"]]
         others.append({**layer, "inputs": inputs})
     tensors = {roles[role]: np.full(channels, value, np.float32) for role, value in values.items()}

@@ -58,7 +58,7 @@ class Recordings:
     def middles(self) -> np.ndarray:
         """The point (x, y) half way between each recording's outermost events: float64, (R, 2)."""
         middles = np.zeros((len(self), 2))
-        with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` has no empty slices
+        with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` takes no empty slice
         if not len(with_events):
             return middles
         firsts = self.offsets[with_events]

@@ -198,11 +198,12 @@ def _chunks(
 ) -> list[_Chunk]:
     """Divide the windows of a part into chunks, one for each file."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
-    step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
+    # so many windows have about `MOST_EVENTS` events
+    size = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
     around_us = config.window_us * windows.neighbours(config.window_us)
     chunks = []
-    for first in range(0, len(windows), step):
-        part_of_windows = slice(first, first + step)
+    for first in range(0, len(windows), size):
+        part_of_windows = slice(first, first + size)
         chunk = _Chunk(
             part=part,
             first=first,
@@ -355,7 +356,7 @@ def examples(
     window_us = motions.config.window_us
     found = np.flatnonzero(motions.spans)
     labels, firsts = np.unique(training.labels[found], return_index=True)
-    # the first window of each class that has a path, for classes that are spread evenly
+    # of classes that are spread evenly over all, the first window with a path
     spread = np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int)
     chosen = found[firsts[np.unique(spread)]]
     reconstruction = Reconstruction(motions.config.sensor, window_us, motions.record["cell"])
@@ -385,6 +386,7 @@ def _example(
     found = MotionPath(motions.paths[i], span=int(motions.spans[i]))
     image = reconstruction.image(columns, measured, found)
     path = found.at(shares())
+    # the image's displacement at half time, since the path's start: (1, 2)
     halfway = found.before + path[len(path) // 2 : len(path) // 2 + 1]
     seed = motions.settings.seed
     other_paths = []

@@ -7,10 +7,11 @@ volumes of its recordings, each at its place, and of the volume of noise. A scen
               that some are cut off at its border. Half of the objects are placed beside another
               object. Two objects are at least `APART` from each other
     starts    half of the objects begin later than the scene, by up to half a window
-    end       augmentation draws when the scene ends. It ends at once for all objects
+    end       augmentation draws when the scene ends. All of its objects end then
     nothing   augmentation makes some windows show nothing. They are in the scene, but are no
               objects
-    noise     at a rate in `NOISE_HZ` from each pixel; in a third of the scenes also a hot pixel
+    noise     each pixel has noise events, at a rate within `NOISE_HZ`. A third of the scenes also
+              have a hot pixel
 
 An object with fewer than `FEWEST` events by the scene's end does not count as an object.
 """

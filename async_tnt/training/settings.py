@@ -71,8 +71,8 @@ motions are right with bins, and .897 with counts."""
 MIN_EPOCHS = 20
 """Least number of epochs by default."""
 MIN_STEPS = 4_000
-"""Least number of optimizer steps by default. With few windows, it takes more than `MIN_EPOCHS`
-epochs."""
+"""Least number of optimizer steps by default. With few windows, a training has more epochs than
+`MIN_EPOCHS` to make so many steps."""
 STEPS_AN_EPOCH = 50
 """Least number of steps of an epoch by default. After each epoch a checkpoint is saved."""
 
@@ -235,6 +235,7 @@ def settings_for(
         augmentation = Augmentation.for_sensor(
             config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation}
         )
+    # the logarithm is for volumes without negative cells
     recipe = {**RECIPE, "logarithm": config.polarity != "signed"}
     if settings.get("everywhere"):
         recipe |= EVERYWHERE

@@ -65,8 +65,8 @@ pixels of such a sensor count this many times."""
 LEAST_SHARE = 0.1
 """Least share of `RECORDINGS` that a sensor has, however large it is."""
 CHUNK = 200
-"""Number of recordings in a file. A process has their events in memory together. A sensor with a
-share of `RECORDINGS` has the same share of recordings in a file."""
+"""Number of recordings in a file. A process has their events in memory together. So a large sensor,
+which has fewer recordings than `RECORDINGS`, has fewer in a file, too."""
 
 PAUSE = 100
 """Longest gap between events, in windows, in which the camera counts as switched on."""
@@ -190,7 +190,7 @@ def _check_left(
     labels: set[int],
     left_out: Sequence[str],
 ) -> None:
-    """Refuse a class of pictures none of which can be read.
+    """Refuse a class that has only pictures, if none of them can be read.
 
     labels : the labels of the classes that have recordings, or pictures that can be read.
     """
@@ -235,13 +235,14 @@ def with_pictures(
     with RecordingsWriter(work.store) as writer, TemporaryDirectory() as temporary:
         folder = (work.store or Path(temporary)) / "pictures"
         writer.extend(recordings)
+        # the recordings of pictures follow: first those to learn from, then those held out
         first = n_real
         for k, part in enumerate(RECORDINGS):
-            some = [pictures[i - n_real] for i in split[k] if i >= n_real]
+            of_part = [pictures[i - n_real] for i in split[k] if i >= n_real]
             takes = simulate_pictures(
                 writer,
                 part,
-                some,
+                of_part,
                 settings,
                 folder,
                 seed=seed,
@@ -251,8 +252,8 @@ def with_pictures(
             if part == "training":
                 about["takes"] = takes
             else:
-                about["held_out"] = len(some)
-            n = takes * len(some)
+                about["held_out"] = len(of_part)
+            n = takes * len(of_part)
             which[k] = np.concatenate([which[k], first + np.arange(n)])
             first += n
         about["settings"] = asdict(settings)

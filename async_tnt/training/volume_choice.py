@@ -89,5 +89,5 @@ class VolumeChoice:
         config = self.config.replace(sensor=sensor, grid=grid)
         if "window_us" not in self.fitted or longest_us is None or longest_us >= config.window_us:
             return config
-        whole_ms = -(-longest_us // 1000)
+        whole_ms = -(-longest_us // 1000)  # rounded up
         return config.replace(window_us=1000 * whole_ms)

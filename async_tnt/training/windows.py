@@ -120,8 +120,8 @@ class Windows:
         t = self.recordings.t
         first = int(self.recordings.offsets[r])
         last = int(self.recordings.offsets[r + 1])
-        # The bounds must have the type of t, or `searchsorted` would copy t. A bound may be too
-        # large for this type by 1. So events up to the microsecond before the bound are found.
+        # With bounds of another type than t, `searchsorted` would copy t. But a bound may be one
+        # more than this type holds. So the search is for the last microsecond before each bound.
         limits = np.iinfo(t.dtype)
         last_us = self.start_us[i] + np.array([from_us, until_us]) - 1
         last_us = np.clip(last_us, limits.min, limits.max).astype(t.dtype)
