@@ -96,12 +96,12 @@ class MotionPath:
     @property
     def refused(self) -> str:
         """Why the path cannot be relied on; empty if it can."""
-        enough = min(self.events_a_cell**2, MOST_EXPLAINED)
+        least_explained = min(self.events_a_cell**2, MOST_EXPLAINED)
         reasons = {
             "few events": self.n_events < MIN_EVENTS,
             "no motion": self.length < MIN_LENGTH,
             "ambiguous direction": self.margin < MIN_MARGIN,
-            "noise": self.explained < enough,
+            "noise": self.explained < least_explained,
             "several objects": self.agreement < 0,
         }
         for reason, holds in reasons.items():
@@ -163,7 +163,9 @@ class PathFinder:
         for of_window, parts, scores, n in zip(
             band, halves, self.scores(band), n_events, strict=True
         ):
-            positions, _ = self.refine(of_window[None], self.dictionary[int(scores.argmax())])
+            likeliest = self.dictionary[int(scores.argmax())]
+            positions, _ = self.refine(of_window[None], likeliest)
+            # in each half of the picture, the evidence of the path minus that of its reverse
             advantages = []
             for part in parts:
                 forwards, _, _ = model.evidence(part[None], positions)

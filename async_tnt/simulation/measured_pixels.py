@@ -66,9 +66,11 @@ def is_after_pulse(window: Columns) -> np.ndarray:
     t, x, y, p = window
     # the sort is stable: the events of each pixel stay in order of time
     order = np.lexsort((y, x))
-    same = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0) & (p[order[1:]] != p[order[:-1]])
+    is_same_pixel = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0)
+    is_other_sign = p[order[1:]] != p[order[:-1]]
+    is_soon = np.diff(t[order].astype(np.int64)) <= AFTER_US
     after = np.zeros(len(t), bool)
-    after[order[1:]] = same & (np.diff(t[order].astype(np.int64)) <= AFTER_US)
+    after[order[1:]] = is_same_pixel & is_other_sign & is_soon
     return after
 
 
@@ -116,8 +118,10 @@ class _Counts:
 
         # the sort is stable: the events of each pixel stay in order of time
         order = np.argsort(pixel, kind="stable")
-        same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
-        self.intervals.append(np.diff(t[order].astype(np.int64))[same])
+        is_same_pixel = np.diff(pixel[order]) == 0
+        is_same_sign = np.diff(p[order].astype(np.int8)) == 0
+        intervals = np.diff(t[order].astype(np.int64))
+        self.intervals.append(intervals[is_same_pixel & is_same_sign])
 
 
 def measure_pixels(

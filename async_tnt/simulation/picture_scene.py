@@ -260,15 +260,18 @@ def _scene(
     # Sides that are multiples of 8 have a fast Fourier transform.
     shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])
 
+    # the ground
     if rng.random() < TEXTURED:
         texture = rng.uniform(0, TEXTURE) * _texture(shape, rng)
     else:
         texture = np.zeros(shape)
     ground = picture.ground
     if ground is None:
-        ground = _random_ground(float(covered.sum() / max(cover.sum(), 1e-6)), rng)
+        luminance = float(covered.sum() / max(cover.sum(), 1e-6))
+        ground = _random_ground(luminance, rng)
     seen = np.clip(ground + texture, 0, 1)
 
+    # the object in the middle of the ground
     rows, columns = cover.shape
     top = (shape[0] - rows) // 2
     left = (shape[1] - columns) // 2
@@ -277,6 +280,7 @@ def _scene(
     if settings.light == "negative" or (settings.light == "both" and rng.random() < 0.5):
         seen = 1.0 - seen
 
+    # the lens, and luminance from `darkest` to 1
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
     contrast = np.exp(rng.uniform(*np.log(CONTRASTS)))
     darkest = 1.0 / contrast

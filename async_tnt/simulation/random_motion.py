@@ -66,6 +66,7 @@ def random_motion(
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
         # the way back is as fast as the way out, and ends at the start
         u = np.where(u < turns_at, u / turns_at, np.maximum(0.0, 2.0 - u / turns_at))
+        # the share of the length that the motion has gone, and how far it is sideways
         forward = u if constant else minimum_jerk(u)
         aside = bend * minimum_jerk((u - bend_starts) / 0.5)
         cos = length * np.cos(angle)

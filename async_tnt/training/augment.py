@@ -103,7 +103,8 @@ def fineness(sensor: tuple[int, int]) -> int:
     >>> fineness((34, 34)), fineness((1280, 720))
     (32, 25)
     """
-    return max(1, min(FINE, (MAX_SIDE - 1) // (max(sensor) - 1)))
+    finest = (MAX_SIDE - 1) // (max(sensor) - 1)  # the finer sensor has at most `MAX_SIDE` pixels
+    return max(1, min(FINE, finest))
 
 
 def unchanged(n: int, config: TNTConfig) -> Draws:
@@ -269,6 +270,7 @@ class Augmentation:
         n = len(windows)
 
         def spread(by: float) -> np.ndarray:
+            """A number in [-by, by) for each window."""
             return rng.uniform(-by, by, n)
 
         start_us = np.rint(spread(1e3 * self.start_ms)).astype(np.int64)
@@ -289,6 +291,7 @@ class Augmentation:
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
         side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
 
+        # rotation * shear * scale * mirror, about the middle of the recording
         cos = scale * np.cos(angle)
         sin = scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))

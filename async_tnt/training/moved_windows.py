@@ -128,6 +128,7 @@ def write_moved(
     paths : how each window moved.
     window_us : length of a window.
     """
+    # 32 bits are enough for the times of most files
     times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
     arrays = {
@@ -187,8 +188,10 @@ def moved_recordings(
         except (ValueError, TypeError) as error:
             raise damaged(path, error) from None
         t = columns[0][:n]
+        # Divide the events into windows. Then times count from each window's start, in `columns`,
+        # too: `t` is a view.
         ends = np.searchsorted(t, config.window_us * np.arange(1, len(refused) + 1))
-        t %= config.window_us  # since each window's start; `t` is a view of `columns[0]`
+        t %= config.window_us
         for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
             parts[name].append(column[:n].astype(dtype))
         offsets.append(offsets[-1][-1] + ends)

@@ -93,7 +93,7 @@ def residual(
 
 
 def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Convolutions of each channel by itself, then 1x1 convolutions. They need few products."""
+    """Convolutions of each channel by itself, then 1x1 convolutions: few multiplications."""
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),

@@ -282,16 +282,17 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
 
 
 def first_weights(layers: Sequence[Layer]) -> list[str]:
-    """The names of the convolution weights that multiply the volume, and may take up its scale.
+    """The names of the convolution weights that multiply the volume, and can include its scale.
 
-    There are none if also a layer other than a convolution reads the volume, or if these weights
-    are used a second time.
+    The list is empty if a layer other than a convolution reads the volume, too, or if another layer
+    uses the same weights.
     """
     readers = [layer for layer in layers if VOLUME in layer["inputs"]]
     tensors = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
     used = [name for layer in layers for name in layer.get("weights", {}).values()]
-    alone = all(used.count(name) == 1 for name in tensors)
-    return tensors if alone and len(tensors) == len(readers) else []
+    are_all_convolutions = len(tensors) == len(readers)
+    are_used_once = all(used.count(name) == 1 for name in tensors)
+    return tensors if are_all_convolutions and are_used_once else []
 
 
 def _scaled(

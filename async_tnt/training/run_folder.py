@@ -109,7 +109,7 @@ def identity_of(
 
     A training resumes from a checkpoint only if its description is the same.
     """
-    own_file = settings.network.rpartition(":")[0]  # "module.py:build"
+    own_file = settings.network.rpartition(":")[0]  # of "module.py:build"; otherwise empty
     return _plain(
         {
             **data.config.to_dict(),

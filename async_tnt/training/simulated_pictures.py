@@ -383,7 +383,7 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
 
 
 def _read(chunk: _Chunk) -> list[np.ndarray]:
-    """The recordings of a chunk's file."""
+    """Read the recordings of a chunk's file."""
     *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
     has_types = [column.dtype for column in columns] == list(COLUMNS.values())
     is_whole = (

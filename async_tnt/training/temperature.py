@@ -93,8 +93,10 @@ def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
     convolution, or if another layer has the same weights.
     """
     *others, last = model.network[CLASSIFIER]
-    shared = {name for layer in others for name in layer.get("weights", {}).values()}
-    if last["op"] not in ("dense", "conv") or shared & {*last["weights"].values()}:
+    in_others = {name for layer in others for name in layer.get("weights", {}).values()}
+    if last["op"] not in ("dense", "conv"):
+        return model, 1.0
+    if in_others & {*last["weights"].values()}:
         return model, 1.0
     scaled = {
         name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()
