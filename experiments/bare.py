@@ -1,12 +1,14 @@
-"""What `async-tnt train` gives with no option but the sensor's size, on three small data sets.
+"""Accuracy of `async-tnt train` with no option but the sensor's size, on three small data sets.
 
     python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
                                [--seeds N] [--out FOLDER] [--json FILE]
 
-N-MNIST has Train and Test, POKER-DVS pips_train and pips_test; HOTS' characters are those of
-`examples/hots_characters.py`. N-CARS is the recipe `bare` of `experiments.cars`. Finished trainings
-in --out are kept, interrupted ones resume, and what FILE has of other sets stays there. A test part
-is read once by each network.
+The folder of N-MNIST has the parts Train and Test, and the folder of POKER-DVS has pips_train and
+pips_test. The folder of HOTS' characters is made by `examples/hots_characters.py`. N-CARS is
+measured by the recipe `bare` of `experiments.cars`.
+
+Finished trainings in --out are kept, and interrupted trainings resume. FILE keeps the entries of
+sets that this run does not measure. Each network reads the test part once.
 """
 
 from __future__ import annotations
@@ -35,16 +37,19 @@ SETS = {
     "poker": ("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35"),
     "characters": ("HOTS' characters", "Train", "Test", "--sensor 32x32"),
 }
-"""Set -> its title, the folder that the command is given, the test part, and options."""
+"""Name of a set -> its title, its folder for training and for tests, and options of `train`."""
 
 TESTED = ("accuracy", "recordings", "window_accuracy", "windows")
-"""What the report has of `async-tnt evaluate`."""
+"""Numbers of the output of `async-tnt evaluate` that the report keeps."""
 
 
 def measure(
     folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, str, str, str]
 ) -> dict[str, Any]:
-    """Train on a set with each seed, and test."""
+    """The entry of a set in the report, with a trained and tested network for each seed.
+
+    parts : the set's row of `SETS`.
+    """
     title, train, test, options = parts
     out.mkdir(parents=True, exist_ok=True)
     rows = []
@@ -54,7 +59,7 @@ def measure(
             words = [*options.split(), "--seed", seed, "--out", model]
             record = command("train", folder / train, *words, "--json")
             report = command("evaluate", model, folder / test, "--json")
-            row = {name: report[name] for name in TESTED}
+            row = {number: report[number] for number in TESTED}
             row["multiplications"] = record["multiplications"]
             rows.append(row)
             bar.update()
@@ -68,7 +73,7 @@ def measure(
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, test, print and write."""
+    """Train and test the networks, print the tables, and write the report."""
     parser = script_parser("bare", __doc__, "a made set and one epoch")
     for name, (title, *_) in SETS.items():
         add_folder(parser, f"--{name}", title)
@@ -92,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _quick() -> dict[str, Any]:
-    """The entry of a small made set."""
+    """The entry of a small made set, for --quick."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         for part, n, seed in (("train", 6, 0), ("test", 3, 1)):

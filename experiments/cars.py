@@ -3,11 +3,12 @@
     python -m experiments.cars N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE]
                                [--picture FILE]
 
-N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`;
-`bare` has no option but the sensor's size. Finished trainings in --out are kept, interrupted ones
-resume, and recipes that are not named keep their entry in FILE. The test part is read when all
-networks of a recipe are trained: each network reads it once, and once the size of the crops alone
-is asked.
+N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train` with
+options; `bare` has no option but the sensor's size. Finished trainings in --out are kept, and
+interrupted trainings resume. Recipes that are not named keep their entry in FILE.
+
+The test part is read when all networks of a recipe are trained. Each network is tested on it once.
+It also gives the accuracy by the size of the crops alone, and some recordings to measure times.
 """
 
 from __future__ import annotations
@@ -48,28 +49,28 @@ EQUAL = "--mirror --epochs 6 --validation 0.05"
 VOLUMES = {"volume": "transform=none"} | {
     name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS
 }
-"""Input -> its settings in `--volume`, besides representation and bins."""
+"""Name of an input -> its settings in `--volume`, besides representation and bins."""
 
 HEIGHT = 3.4
-"""The picture's height, in inches, as all of these are."""
+"""Height of the picture, in inches."""
 
 TOP = 0.6
-"""From the top of the picture to its axes."""
+"""Distance from the top of the picture to its axes, in inches."""
 
 SIDE = 2.2
-"""Height of the axes."""
+"""Height of the axes, in inches."""
 
 WIDTH = 4.2
-"""Width of the axes."""
+"""Width of the axes, in inches."""
 
 LEFT = 0.75
-"""From the left of the picture to the first axes."""
+"""Distance from the left of the picture to the first axes, in inches."""
 
 STEP = 5.0
-"""From the left of the first axes to that of the second."""
+"""Distance from the left of the first axes to the left of the second axes, in inches."""
 
 IMAGES = ("count", "count_time", "mean_time", "time_surface")
-"""Inputs that are images, one value of a pixel a window."""
+"""Inputs that are images. A window has no bins: each pixel has one value."""
 
 TRAIN = "n-cars_train"
 """Folder of the training part."""
@@ -89,30 +90,30 @@ RECIPES = {
     },
     **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
 }
-"""Name -> options besides the sensor's size; the first one is drawn."""
+"""Name of a recipe -> its options besides the sensor's size. The first recipe is drawn."""
 
 N_CARS = {
     "title": "N-CARS",
     "shown_ms": ("10", "20", "30", "50", "100"),
-    # complete recordings, see docs/results.md
+    # accuracy of other methods on complete recordings; docs/results.md names the sources
     "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},
 }
-"""What the report says of N-CARS itself."""
+"""Entries of the report that belong to N-CARS, not to a recipe."""
 
 MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
-"""What the report says of the made set of --quick."""
+"""The same entries for the made set of --quick."""
 
 TIMED = 12
-"""Recordings of the test part whose costs are measured."""
+"""Largest number of recordings of the test part on which times are measured."""
 
 SMOOTHED = 2.0
-"""Standard deviation, in pixels, by which sizes of crops are smoothed."""
+"""Standard deviation, in pixels, of the Gaussian that spreads the votes over sizes of crops."""
 
 
 def measure(
     folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE
 ) -> dict[str, Any]:
-    """Train and test a recipe with each seed.
+    """The report of one recipe, with a trained and tested network for each seed.
 
     common : options of every recipe.
     """
@@ -141,7 +142,7 @@ def measure(
 def with_earlier(
     report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]
 ) -> dict[str, Any]:
-    """A report with those recipes of an earlier report that it does not have.
+    """A report that keeps the recipes of an earlier report, except those measured again.
 
     The recipes that `order` names come first, in that order.
     """
@@ -151,7 +152,7 @@ def with_earlier(
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
-    """What a model gets right of the test part."""
+    """Accuracies of a model on the test part: at the end, against time, and by confidence."""
     report = command("evaluate", path, test, "--json")
     counts = ("accuracy", "recordings", "window_accuracy", "windows")
     names = (*counts, "calibration_error", "confidence")
@@ -163,62 +164,69 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
 
 @cache
 def by_crop_size(train: Path, test: Path) -> float:
-    """The test accuracy that a recording's width and height alone give, one for all recipes.
+    """The test accuracy that the width and the height of recordings alone give.
 
-    Each training recording votes for its class among the sizes around its own. This is what a
-    network could have from the crops, without any object.
+    Each training recording votes for its class, at its own size and at sizes near it. A test
+    recording gets the class with most votes at its size. A network could reach this accuracy by
+    the size of the crops, without looking at any object. The number is the same for all recipes,
+    so it is computed once.
     """
-    ours = _sizes(train)
-    others = _sizes(test)
-    side = 1 + max(int(sizes.max()) for sizes in (*ours.values(), *others.values()))
-    away = np.arange(side)[:, None] - np.arange(side)
-    near = np.exp(-0.5 * (away / SMOOTHED) ** 2)
+    training_sizes = _sizes(train)
+    test_sizes = _sizes(test)
+    all_sizes = [*training_sizes.values(), *test_sizes.values()]
+    side = 1 + max(int(sizes.max()) for sizes in all_sizes)
+    distance = np.arange(side)[:, None] - np.arange(side)
+    weight = np.exp(-0.5 * (distance / SMOOTHED) ** 2)
     votes = {}
-    for name, sizes in ours.items():
+    for name, sizes in training_sizes.items():
         table = np.zeros((side, side))
         np.add.at(table, (sizes[:, 0], sizes[:, 1]), 1 / len(sizes))
-        votes[name] = near @ table @ near
+        votes[name] = weight @ table @ weight
+    classes = list(votes)
     right = 0
     total = 0
-    for name, sizes in others.items():
-        most = np.stack([votes[other][sizes[:, 0], sizes[:, 1]] for other in votes]).argmax(0)
-        right += int((most == list(votes).index(name)).sum())
+    for name, sizes in test_sizes.items():
+        votes_at_size = np.stack([votes[other][sizes[:, 0], sizes[:, 1]] for other in classes])
+        elected = votes_at_size.argmax(0)
+        right += int((elected == classes.index(name)).sum())
         total += len(sizes)
     return right / total
 
 
 def _sizes(part: Path) -> dict[str, np.ndarray]:
-    """The width and height of each recording, by class, up to the outermost events."""
+    """Class -> width and height of its recordings, shape (N, 2), up to the outermost events.
+
+    Recordings without events are left out.
+    """
     found = {}
     for folder in sorted(path for path in part.iterdir() if path.is_dir()):
-        files = sorted(folder.iterdir())
-        events = (open_recording(file).read() for file in files)
-        found[folder.name] = np.array(
-            [
-                (recording["x"].max() + 1, recording["y"].max() + 1)
-                for recording in events
-                if len(recording)
-            ]
-        )
+        sizes = []
+        for file in sorted(folder.iterdir()):
+            events = open_recording(file).read()
+            if len(events):
+                sizes.append((events["x"].max() + 1, events["y"].max() + 1))
+        found[folder.name] = np.array(sizes)
     return found
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Costs on some recordings' first windows, in nanoseconds.
+    """Times of a model, measured on the first windows of some recordings.
 
-    They are the time of an event in the volume, and that of a decision after every event.
+    `event_ns` is the time that an event takes in the volume. `every_event` is the time of a
+    decision after every event, see `bench_every_event`.
     """
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
+    step = -(-len(files) // TIMED)  # rounded up
     windows = []
-    for file in files[:: -(-len(files) // TIMED)]:
+    for file in files[::step]:
         events = open_recording(file, sensor=model.config.sensor).read()
         events["t"] -= events["t"][0]
         windows.append(events[events["t"] < model.config.window_us])
     regressor = CompiledRegressor(model) if model.config.needs_regressor else None
     volume = TNTVolume(model.config, regressor=regressor)
 
-    def absorbed() -> float:
+    def ns_per_event() -> float:
         nanoseconds = 0.0
         for events in windows:
             volume.open(0)
@@ -227,15 +235,15 @@ def _costs(path: Path, test: Path) -> dict[str, Any]:
             nanoseconds += 1e9 * (work_clock() - started)
         return nanoseconds / sum(map(len, windows))
 
-    per_event = interleave({"ours": absorbed}, 20)["ours"]
+    event_ns = interleave({"ours": ns_per_event}, 20)["ours"]
     return {
-        "event_ns": spread(per_event),
+        "event_ns": spread(event_ns),
         "every_event": bench_every_event(model, {}, windows, rounds=2 * len(windows))["ours"],
     }
 
 
 def draw(report: dict[str, Any]) -> Any:
-    """Accuracy against time, and against what a confidence costs."""
+    """Draw accuracy against time, and against the time until a confidence is reached."""
     tests = next(iter(report["recipes"].values()))["tests"]
     end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
@@ -256,7 +264,10 @@ def draw(report: dict[str, Any]) -> Any:
 def _draw_time(
     axes: Any, tests: Sequence[dict[str, Any]], others: Mapping[str, float], end_ms: float
 ) -> None:
-    """Accuracy of each network against time, and of others with the whole recording."""
+    """Draw the accuracy of each network against time.
+
+    The accuracy of other methods with the whole recording stands at its end.
+    """
     for k, test in enumerate(tests):
         axes.plot(
             [float(ms) for ms in test["against_time_ms"]],
@@ -274,18 +285,22 @@ def _draw_time(
 
 
 def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
-    """Draw what each level of confidence costs and buys, in the mean over the networks."""
-    of_levels = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
-    # Only levels that windows reach are drawn.
-    of_levels = [rows for rows in of_levels if all(row["median_ms"] is not None for row in rows)]
-    ms = [np.mean([row["median_ms"] for row in rows]) for rows in of_levels]
+    """Draw accuracy and reach of each level of confidence against the time until it is reached.
+
+    The reach is the share of windows that reach the level. All numbers are means over the networks.
+    """
+    # a list for each level, with a row of each network
+    by_level = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
+    # only levels that windows reach are drawn
+    by_level = [rows for rows in by_level if all(row["median_ms"] is not None for row in rows)]
+    ms = [np.mean([row["median_ms"] for row in rows]) for rows in by_level]
     for name, colour, words in (
         ("accuracy", OFF, "right of these"),
         ("decided", GREY, "windows that reach it"),
     ):
-        shares = [np.mean([row[name] for row in rows]) for rows in of_levels]
+        shares = [np.mean([row[name] for row in rows]) for rows in by_level]
         axes.plot(ms, shares, "o-", color=colour, ms=3, label=words)
-    for rows, x in zip(of_levels, ms, strict=True):
+    for rows, x in zip(by_level, ms, strict=True):
         level = rows[0]["level"]
         if level >= 0.9:
             right = np.mean([row["accuracy"] for row in rows])
@@ -295,7 +310,7 @@ def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, test, print and write."""
+    """Train and test the networks, print the tables, and write the report."""
     parser = script_parser("cars", __doc__, "a made set and one epoch", draws=True)
     parser.add_argument(
         "folder",
@@ -326,7 +341,7 @@ def main(argv: list[str] | None = None) -> int:
         report: dict[str, Any] = {}
         for name in args.recipes:
             found = measure(args.folder, args.out, name, args.seeds)
-            # Another run may have changed the file in the meantime.
+            # another run may have changed the file in the meantime
             report = earlier_report(args, report)
             report = with_earlier(found, report, list(RECIPES)) if report else found
             write_outputs(args, report)  # before the next recipe's hours

@@ -1,14 +1,19 @@
 """How long a decision takes.
 
-Ours, which computes what has changed, is compared with onnxruntime, OpenVINO, torch and eventcv.
+Our engine, which computes what has changed, is compared with onnxruntime, OpenVINO, torch and
+eventcv.
 
     python -m experiments.decisions [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, interleaved, on the windows of the bundled recordings; before
-anything is timed, all must give the same logits within 1e-4. Decisions are timed twice: backends
-alternate from call to call (each finds the caches full of the others), and they decide in blocks
-(each has them to itself). Compare within one of these only. Rows whose package is not installed are
-left out, with the reason: `pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
+All backends run in one process with one thread each, and take turns on the windows of the bundled
+recordings. Before anything is timed, all backends must give the same logits within 1e-4.
+
+Decisions are timed in two ways. In the first way, backends alternate from call to call, so a
+backend finds the caches full of other backends' data. In the second way, a backend makes a block of
+decisions in a row, and has the caches to itself. Compare only numbers of the same way.
+
+Rows whose package is not installed are left out, with the reason. To install all:
+`pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-if __name__ == "__main__":  # before any library reads them
+if __name__ == "__main__":  # libraries read these variables when they are imported
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 from async_tnt import load_model, warmup
@@ -43,11 +48,11 @@ QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """Measure everything, and return one JSON object.
+    """The report of all measurements, as one JSON object.
 
     Raises
     ------
-    WorkDiffers : backends do not agree. Then nothing is reported.
+    WorkDiffers : backends do not give the same results. Then there is no report.
     """
     model = load_model(MODEL)
     recordings = bench_recordings(model.config)
@@ -98,7 +103,10 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
+    """Measure the report, print its tables, and write JSON and the picture if asked.
+
+    Returns 1 if backends do not give the same results.
+    """
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
 
     def measured(quick: bool) -> dict[str, Any]:

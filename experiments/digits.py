@@ -2,10 +2,12 @@
 
     python -m experiments.digits [--nmnist FOLDER] [--mnist FOLDER] [--out FOLDER]
 
-Five trainings, each continuing the one before, on N-MNIST's recordings, simulated ones, and both
-under other motions; the last two also show windows without a digit. Finished steps in --out are
-kept, interrupted ones resume. It takes an hour for the motions and another for the trainings, and
-writes OUT/digits.safetensors.
+There are five trainings. Each continues the training before. The networks see N-MNIST's recordings,
+simulated recordings, and both under other motions. The last two trainings also show windows without
+a digit.
+
+Finished trainings in --out are kept, and interrupted trainings resume. The command takes an hour
+for the motions and another hour for the trainings. It writes OUT/digits.safetensors.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from experiments.digit_data.recordings import digits_data
 from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 CONFIG = TNTConfig(t_max=4.0)
-"""The volumes that `digits` sees."""
+"""Settings of the volumes that `digits` sees."""
 
 SIMULATED = 20_000
 """Number of simulated recordings to train on."""
@@ -39,19 +41,20 @@ SIMULATED = 20_000
 
 @dataclass(frozen=True)
 class Step:
-    """One training.
+    """One of the five trainings: its settings.
 
     Parameters
     ----------
     epochs : passes over the windows.
     rate : the highest learning rate.
     recorded : share of the windows that an epoch shows as they were recorded.
-    variations : other motions of each window.
+    variations : number of other motions that are made of each window.
     augmentation : augmentation of all windows.
     averaging : averaging of the weights, see `TrainSettings`.
-    is_taught : whether half of the target is what the model of the step before says.
-    kept : share of the weights that are taken from the model of the step before (Wortsman et al.
-        2022, arXiv:2109.01903).
+    is_taught : whether half of the target of training is the answer of the model of the step
+        before.
+    kept : share of that model in the mean of the weights, old and new (Wortsman et al. 2022,
+        arXiv:2109.01903).
     """
 
     epochs: int
@@ -90,7 +93,10 @@ STEPS = {
 
 
 def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model:
-    """Train step by step; the last model has been tested, and is written to `out`."""
+    """The last model of a training step by step. It is tested.
+
+    The model of each step is written to `out`.
+    """
     model = None
     for name, step in steps.items():
         settings = TrainSettings(
@@ -130,9 +136,10 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
 
 
 def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
-    """The model whose weights are `kept` of the old ones and the rest of `fitted`.
+    """The training `fitted`, with the mean of its weights and the weights of the model `before`.
 
-    It is calibrated again on what is held out.
+    The weights of `before` have the share `kept` in the mean. The model is calibrated again on the
+    held-out windows.
     """
     weights = {
         name: kept * before.weights[name] + (1 - kept) * after
@@ -167,7 +174,7 @@ def main(argv: list[str] | None = None) -> int:
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     mnist = data_folder(args.mnist, "mnist", "--mnist")
     args.out.mkdir(parents=True, exist_ok=True)
-    # another number gives slightly different weights
+    # another number of threads gives slightly different weights
     torch.set_num_threads(1)
     data = digits_data(nmnist, mnist, CONFIG, simulated=SIMULATED, progress=progress)
     model = train_digits(data, STEPS, args.out)

@@ -1,17 +1,17 @@
-"""What a motion does not show, on real recordings.
+"""How the events of real recordings depend on the direction of motion.
 
-Edges along the motion give no events, and a reversed motion swaps polarity.
+Edges along the motion should give no events, and a reversed motion should swap polarity.
 
     python -m experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json
 
-A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt = -v . grad L. Each
-saccade's events are moved back along N-MNIST's path, onto the image that was shown, whose gradient
-is known.
+A pixel follows log luminance L. For a pattern that moves with velocity v, dL/dt = -v . grad L. The
+events of each saccade are moved back along N-MNIST's path, onto the image that was shown. The
+gradient of this image is known. The report has:
 
-- By the angle between gradient and motion: events for each unit of gradient, which should fall like
-  the cosine, and how many of them have the polarity of -v . grad L.
-- Between two saccades: correlation over pixels of signed images, as measured, and of -v . grad L;
-  and of unsigned ones.
+- by the angle between gradient and motion, the number of events for each unit of gradient, which
+  should fall like the cosine, and the share of events with the polarity of -v . grad L;
+- between two saccades, the correlation over pixels of the images of signed events, of the images of
+  -v . grad L, and of the images of unsigned events.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from experiments.scripts.options import (
 from experiments.speed.timing import machine
 
 N_RECORDINGS = 1_000
-"""Recordings that are compared with their images."""
+"""Number of recordings that are compared with their images."""
 
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)
 """Limits of the bins of the angle between gradient and motion."""
@@ -47,14 +47,14 @@ LEAST_GRADIENT = 0.1
 """Least gradient of an edge, in log luminance per pixel; less is background."""
 
 COMPARED = ("signed", "expected", "unsigned")
-"""Images of two saccades that are correlated: of events with their sign, what the gradient lets
-expect, and of events without their sign."""
+"""Images that are correlated between two saccades: the sum of the events' signs, the change of
+light that the gradient lets expect, and the number of events."""
 
 PATH = nmnist_saccades()
 """Path of the image in N-MNIST's recordings."""
 
 ENDS_US = (0, 92_000, 222_000, 308_000)
-"""N-MNIST's saccades are at rest there."""
+"""Times at which the image is at rest; each of the three saccades lies between two of them."""
 
 
 def directions() -> np.ndarray:
@@ -64,11 +64,13 @@ def directions() -> np.ndarray:
 
 
 def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed and unsigned counts of events, (34, 34).
+    """The sum of the events' signs and the number of events at each pixel, each (34, 34).
 
-    The events are moved along N-MNIST's path to where the image is centred.
+    Events are first moved back along N-MNIST's path, as if the image had stayed in the sensor's
+    centre.
     """
     dx, dy = PATH.position(events["t"])
+    # (3, 3) centres a 28 x 28 image on a 34 x 34 sensor
     x = np.rint(events["x"] - dx + 3.0).astype(int)
     y = np.rint(events["y"] - dy + 3.0).astype(int)
     inside = (x >= 0) & (x < 34) & (y >= 0) & (y < 34)
@@ -82,14 +84,14 @@ def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def gradient(image: np.ndarray) -> np.ndarray:
     """The gradient (d/dx, d/dy) of an image's log luminance, (34, 34, 2).
 
-    It is taken at the sensor's centre.
+    The image is in the sensor's centre.
     """
     light = render(image, np.array([3.0]), np.array([3.0]))[0]
     return np.stack(np.gradient(light)[::-1], axis=-1)
 
 
 def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
-    """Measure the report on `n` recordings, spread evenly over all recordings."""
+    """The report on `n` recordings, spread evenly over all recordings."""
     split, found = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
     shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]
@@ -106,22 +108,27 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
             edges = steepness > LEAST_GRADIENT
             images_of: dict[str, list[np.ndarray]] = {name: [] for name in COMPARED}
             recorded = read_nmnist(found[i])
-            # the last part, which follows the saccades, is left out
+            # the fourth part, which follows the three saccades, is left out
             saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))
             for v, saccade in zip(towards, saccades, strict=False):
                 sign, count = moved_back(saccade)
                 change = -slope @ v
+                # number of events whose sign is that of `change`
+                agreeing = (count + sign * np.sign(change)) / 2
                 cosine = np.abs(change[edges]) / steepness[edges]
-                at = np.digitize(np.degrees(np.arccos(np.clip(cosine, 0, 1))), ANGLES_DEG[1:-1])
-                events_of += np.bincount(at, count[edges], bins)
-                right_of += np.bincount(at, ((count + sign * np.sign(change)) / 2)[edges], bins)
-                gradient_of += np.bincount(at, steepness[edges], bins)
-                cosine_of += np.bincount(at, steepness[edges] * cosine, bins)
+                angle_deg = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
+                bin_of = np.digitize(angle_deg, ANGLES_DEG[1:-1])
+                events_of += np.bincount(bin_of, count[edges], bins)
+                right_of += np.bincount(bin_of, agreeing[edges], bins)
+                gradient_of += np.bincount(bin_of, steepness[edges], bins)
+                cosine_of += np.bincount(bin_of, steepness[edges] * cosine, bins)
                 images_of["signed"].append(sign.ravel())
                 images_of["expected"].append(change.ravel())
                 images_of["unsigned"].append(count.ravel())
             for (a, b), values in correlations.items():
-                values.append([float(np.corrcoef(of[a], of[b])[0, 1]) for of in images_of.values()])
+                values.append(
+                    [float(np.corrcoef(image[a], image[b])[0, 1]) for image in images_of.values()]
+                )
             bar.update()
 
     between = {}
@@ -142,7 +149,7 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("edges", __doc__, "50 recordings")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "MNIST's IDX files (default: $TNT_DATA/mnist)")

@@ -1,28 +1,30 @@
-"""Objects on a large sensor.
-
-The experiment tells how well a map model finds digits in scenes of several real recordings.
+"""How well a map model finds objects on a large sensor, in scenes of several real recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
                                      [--json FILE]
     python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
-The third makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER
---everywhere`: N-MNIST's Train, and 10,000 of MNIST's training images.
+The third command writes the training data of the bundled `digits-everywhere`: N-MNIST's Train, and
+10,000 of MNIST's training images. The model is then made by `async-tnt train FOLDER --everywhere`.
 
-Three recordings of one saccade each (eight on 640x480) stand anywhere on a sensor of 128x96, in
-whole pixels, begin within 50 ms of each other, and are streamed with uniform noise of .3 Hz a
-pixel. An object is found where one of its class is named within 5 pixels of its middle, halfway
-between the 2nd and 98th percentile of its events (some noise is farther out), the likeliest one
-first. Objects are apart by at least 30 pixels; in `close` by at least 16, where they may cover each
-other by up to a third; in `overlapping` each is 16 to 24 from another one. Shares no code with
-`train --everywhere`.
+A scene has three recordings of one saccade each on a sensor of 128x96 pixels, or eight on 640x480.
+The recordings stand anywhere, moved by whole pixels. They begin within 50 ms of each other, and are
+streamed with uniform noise of .3 Hz a pixel. Objects are at least 30 pixels apart. In the scenes
+`close` they are at least 16 pixels apart, and may cover each other by up to a third. In the scenes
+`overlapping` each object is 16 to 24 pixels from another one.
 
-F1 at 105 ms after the first object's start, and after 30 ms of the *last* one; objects in noise
-alone, a window.
+An object is found if the model names its class within 5 pixels of its middle. The middle of an
+object is halfway between the 2nd and the 98th percentile of its events, since some noise is farther
+out. Found objects are compared with the scene in order of their probability, the likeliest first.
 
-With --cars: two recordings of N-CARS' test part on 304x240 pixels, where cars are to be found,
-within 15 pixels of their middles, and background is not.
+The report has the F1 score at 105 ms after the start of the first object, and at 30 ms after the
+start of the *last* one. It also has the number of objects that are found in a window of noise.
+
+With --cars, a scene has two recordings of N-CARS' test part on 304x240 pixels. Cars are to be
+found, within 15 pixels of their middles, and background is not.
+
+The scenes share no code with `train --everywhere`.
 """
 
 from __future__ import annotations
@@ -73,14 +75,14 @@ class Kind(NamedTuple):
     n_objects: int = 3
     """Objects in a scene."""
     apart: tuple[float, float] = (30.0, np.inf)
-    """Least and largest distance, in pixels, from an object's middle to that of the nearest one
-    before it."""
+    """Least and largest distance, in pixels, from an object's middle to the nearest middle among
+    the objects that were placed before."""
     side: int = 34
-    """Side of a recording, in pixels. Its middle is at least half of it away from the border."""
+    """Side of a recording, in pixels. Middles are at least half a side away from the border."""
     within: float = 5.0
     """Largest distance, in pixels, at which an object counts as found."""
     window_us: int = 105_000
-    """Length of a window."""
+    """Length of a window, in microseconds."""
 
 
 DIGITS = {
@@ -108,7 +110,7 @@ NO_OBJECT = "background"
 
 
 def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarray:
-    """Events of a recording, of N-MNIST one saccade's, from 0 us on."""
+    """The events of a recording, from 0 us on. N-MNIST's recordings give one random saccade."""
     if path.suffix != ".bin":
         return open_recording(path).read()
     events = read_nmnist(path)
@@ -119,7 +121,7 @@ def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarr
 
 
 def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, Truth, int]:
-    """Events of these recordings in one scene, what stands where, and when the last one begins."""
+    """The events of a scene of recordings, its objects, and the last start in microseconds."""
     sensor = np.array(kind.sensor)
     middles: list[np.ndarray] = []
     while len(middles) < len(files):
@@ -134,10 +136,12 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
     for path, middle in zip(files, middles, strict=True):
         events = one_window(path, kind.window_us, rng)
         start_us = int(rng.integers(STARTS_US)) if parts else 0
-        centre = np.array([np.quantile(events[a], (0.02, 0.98)).mean() for a in "xy"])
+        centre = np.array([np.quantile(events[axis], (0.02, 0.98)).mean() for axis in "xy"])
         shift = np.rint(middle - centre).astype(int)
-        moved = events["t"] + start_us, events["x"] + shift[0], events["y"] + shift[1], events["p"]
-        parts.append(on_sensor(*moved, kind.sensor))
+        t = events["t"] + start_us
+        x = events["x"] + shift[0]
+        y = events["y"] + shift[1]
+        parts.append(on_sensor(t, x, y, events["p"], kind.sensor))
         if path.parent.name != NO_OBJECT:
             truth.append((path.parent.name, *(centre + shift)))
         last_us = max(last_us, start_us)
@@ -154,10 +158,10 @@ def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
 
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
-    """How many objects were found right, how many were found, and how many are there.
+    """The numbers of objects that were found right, that were found, and that are in the scene.
 
-    A found object is right if an object of its class is near enough. Each object that is there
-    makes at most one found object right.
+    A found object is right if an object of its class in the scene is at most `within` pixels away.
+    Each object in the scene makes at most one found object right.
     """
     not_found = list(truth)
     objects = [found for found in objects if found.label != NO_OBJECT]
@@ -175,9 +179,10 @@ def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
 def measure(
     model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0
 ) -> dict[str, float]:
-    """F1 at the end and early, over scenes of `n_objects` together.
+    """The F1 score at the end of the scenes, and early in them.
 
-    Each recording is shown once, or again when all have been.
+    The scenes have `n_objects` objects together. No recording is shown again before all have been
+    shown.
     """
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
@@ -194,6 +199,7 @@ def measure(
         early += counts(processor.fire().objects, truth, kind.within)
         processor.push(events[n_early:])
         total += counts(processor.fire().objects, truth, kind.within)
+    # F1 = 2 right / (found + in the scene)
     return {
         "end": float(2 * total[0] / total[1:].sum()),
         "early": float(2 * early[0] / early[1:].sum()),
@@ -201,7 +207,7 @@ def measure(
 
 
 def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
-    """Objects that are found in a window of noise, in the mean over `n` windows."""
+    """The number of objects that are found in a window of noise, as a mean over `n` windows."""
     rng = np.random.default_rng(0)
     found = 0
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
@@ -213,9 +219,9 @@ def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
 
 
 def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
-    """Write what `digits-everywhere` is trained on.
+    """Write the training data of `digits-everywhere`.
 
-    This is a folder for each digit, with links to recordings and with pictures.
+    Each digit has a folder, with links to its recordings in N-MNIST and with pictures of MNIST.
     """
     for path in (nmnist / "Train").glob("*/*.bin"):
         link = folder / path.parent.name / path.name
@@ -226,7 +232,7 @@ def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("everywhere", __doc__, "ten scenes")
     parser.add_argument(
         "models", nargs="*", metavar="MODEL", help="map models of ten digits, or of cars"

@@ -1,13 +1,14 @@
 """How many real recordings does a classifier need beside pictures, and without?
 
-N-MNIST's Test against those of Train.
+The answer is the accuracy on N-MNIST's Test, by the number of recordings of Train.
 
     python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N]
                                          [--out FOLDER] [--json FILE] [--picture FILE]
 
-Each data set has MNIST's training images, or none, and the first 0, 1, 10, 100 or all recordings of
-each class; `async-tnt train` is given the sensor's size alone. Where it finds pictures, it also
-turns, shears and thins windows. Finished trainings in --out are kept, interrupted ones resume.
+Each data set has the first 0, 1, 10, 100 or all recordings of each class, with MNIST's training
+images or without. `async-tnt train` is given no option but the sensor's size. If a data set has
+pictures, `train` also turns, shears and thins windows. Finished trainings in --out are kept, and
+interrupted trainings resume.
 """
 
 from __future__ import annotations
@@ -36,19 +37,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PER_CLASS = (0, 1, 10, 100, 10_000)
-"""Numbers of recordings of each class; the last one is more than there are."""
+"""Numbers of recordings of each class. No class has as many as the last one, so it means all."""
 
 FEWEST_ALONE = 10
-"""Fewest recordings of each class without pictures: of fewer none can be held out."""
+"""Least number of recordings of each class without pictures. Fewer are too few to hold some out."""
 
 WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
 """What is trained on -> its colour."""
 
 
 def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
-    """Links to pictures and to the first `n` recordings of each class.
+    """Write links to pictures and to the first `n` recordings of each class.
 
-    Returns how many recordings a class has.
+    Returns the number of recordings of a class, as a rounded mean over the classes.
     """
     counts = []
     for source in sorted(path for path in (nmnist / "Train").iterdir() if path.is_dir()):
@@ -64,7 +65,7 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
 
 
 def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> dict[str, Any]:
-    """Train and test all of them."""
+    """The report: accuracies for each number of recordings, with pictures and without."""
     n_pictures = 20 if quick else 60_000
     options = ("--epochs", "1") if quick else ()
     per_class = (0, 10) if quick else PER_CLASS
@@ -94,9 +95,9 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """Draw the share of windows right against the number of recordings of each class.
+    """Draw the share of wrong windows against the number of recordings of each class.
 
-    The axes spread out what is near 100 %.
+    Both axes are logarithmic, so no recordings are drawn at 0.3.
     """
     figure = new_figure(3.6)
     axes = axes_at(figure, 0.8, 0.6, 9.2, 2.4)
@@ -123,7 +124,7 @@ def draw(report: dict[str, Any]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure or read, print, write and draw."""
+    """Measure the report or read it, print its tables, and write its files and picture."""
     parser = script_parser(
         "few_recordings", __doc__, "one epoch, 20 pictures, 10 recordings", draws=True
     )

@@ -29,11 +29,14 @@ PANELS = {"1/sim": "trained on the first saccade", "all/sim": "trained on all th
 """Column of the table -> title of its panel."""
 
 SACCADES_DEG = {1: 75.0, 2: 308.0, 3: 183.0}
-"""Directions of N-MNIST's saccades, by `nmnist_saccades`; y grows downwards."""
+"""Number of a saccade of N-MNIST -> its direction, by `nmnist_saccades`; 90 is downwards."""
 
 
 def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Directions in radians, and the mean accuracy over their distances."""
+    """The directions of motions, in radians, and for each the mean accuracy over all distances.
+
+    per_motion : name of a motion, such as "036deg-5px" -> accuracy.
+    """
     found: dict[int, list[float]] = {}
     for motion, accuracy in per_motion.items():
         found.setdefault(int(motion[:3]), []).append(accuracy)
@@ -44,7 +47,8 @@ def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
 def draw(report: dict[str, Any]) -> Figure:
     """Draw a polar panel for each set that was trained on.
 
-    The angle is the direction of motion, downwards below. The radius is the accuracy.
+    The angle is the direction of motion; 90 degrees, downwards, is below. The radius is the
+    accuracy.
     """
     from experiments.thesis.rows import ROWS
 
@@ -59,6 +63,7 @@ def draw(report: dict[str, Any]) -> Figure:
                 title = ROWS[row].title.replace("`", "")
                 closed = np.append(angles, angles[0]), np.append(accuracies, accuracies[0])
                 axes.plot(*closed, label=title if place == 0 else None, lw=1.6, **look)
+        # a circle at the accuracy of guessing one of ten classes
         axes.plot(
             np.linspace(0, 2 * np.pi, 100), np.full(100, 0.1), color="#b0b0b0", lw=0.8, ls=":"
         )

@@ -8,9 +8,10 @@ smallest
 
     |F(L_v e) - T F(e)| / |F(e)|
 
-over T. Strides are the network's: a layer of stride 4 moves along with multiples of 4 pixels only.
-Dense layers have no place, and see the middle 34 x 34 cells, as on the network's own sensor:
-nothing is translated there.
+over T. The features of an empty volume are subtracted from F. A layer whose cells are 4 pixels
+apart can move along by multiples of 4 pixels only. The features of dense layers have no places, so
+nothing is translated there. Dense layers see the middle 34 x 34 cells, as on the network's own
+sensor.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIDE = 82
-"""Width and height of the grid, in pixels: room for a digit that moves."""
+"""Width and height of the grid, in pixels. It has room for a digit that moves."""
 
 OWN_SIDE = 34
 """Width and height of the grid of `digits`."""
 
 WINDOW_US = 105_000
-"""Length of the window."""
+"""Length of the window, in microseconds."""
 
 T_MAX = 2.0
 """Scaled time at the end of the window."""
@@ -56,8 +57,8 @@ AT: dict[str, Any] = dict(
 """Window, sensor and grid of the reference."""
 
 FLOWS = (0, 1, 2, 3, 5, 8, 13, 16)
-"""Flows to the right, in pixels per window. About the centre, a flow v becomes a translation by v /
-t_max."""
+"""Flows to the right, in pixels per window. TNT about the centre makes of a flow v a translation by
+v / t_max."""
 
 INPUTS: dict[str, dict[str, Any]] = {
     "raw": {},
@@ -66,7 +67,7 @@ INPUTS: dict[str, dict[str, Any]] = {
     "TNT, line": {"landmark": "line"},
     "TNT, line, flow removed": {"landmark": "line", "remove_flow": True},
 }
-"""Name of an input -> its transform in the reference; none for the raw volume."""
+"""Name of an input -> arguments of its transform in the reference; the raw volume has none."""
 
 LAYERS = {
     "volume": 1,
@@ -77,7 +78,7 @@ LAYERS = {
     "dense 1": 0,
     "logits": 0,
 }
-"""Layer of `digits` -> pixels between its cells; 0 where it has no places."""
+"""Layer of `digits` -> pixels between its cells; 0 if its features have no places."""
 
 
 def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
@@ -99,7 +100,7 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
 
 
 def features(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.Tensor]:
-    """The features of each of `LAYERS`."""
+    """The features of each layer, in the order of `LAYERS`."""
     maps = _maps(volume, weights)
     own = _maps(volume[..., MARGIN:-MARGIN, MARGIN:-MARGIN], weights)[-1].flatten(1)
     hidden = F.linear(own, weights["fc1.weight"], weights["fc1.bias"]).relu()
@@ -107,6 +108,7 @@ def features(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[tor
 
 
 def _maps(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.Tensor]:
+    """The volume, and the features of the convolutions and poolings, in order."""
     first = F.conv2d(volume, weights["conv1.weight"], weights["conv1.bias"], padding=1).relu()
     pooled = F.avg_pool2d(first, 2)
     second = F.conv2d(pooled, weights["conv2.weight"], weights["conv2.bias"], padding=1).relu()
@@ -114,7 +116,7 @@ def _maps(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.
 
 
 def measure(quick: bool = False) -> dict[str, Any]:
-    """Measure the equivariance error of each input, layer and flow."""
+    """The report, with the equivariance error of each input, layer and flow."""
     flows = FLOWS[:2] if quick else FLOWS
     tensors = torch_classifier(load_model("digits")).tensors
     weights = {name: tensor.detach().double() for name, tensor in tensors.items()}
@@ -122,27 +124,30 @@ def measure(quick: bool = False) -> dict[str, Any]:
     for name, landmark in INPUTS.items():
         of_flow = [features(volume_of(landmark, flow), weights) for flow in flows]
         empty = features(torch.zeros_like(of_flow[0][0]), weights)
-        found[name] = {
-            layer: [
-                _error(moved[k], of_flow[0][k], empty[k], of, flow)
+        errors: dict[str, list[float]] = {}
+        for k, (layer, pixels) in enumerate(LAYERS.items()):
+            still = of_flow[0][k]
+            errors[layer] = [
+                _error(moved[k], still, empty[k], pixels, flow)
                 for flow, moved in zip(flows, of_flow, strict=True)
             ]
-            for k, (layer, of) in enumerate(LAYERS.items())
-        }
+        found[name] = errors
     return {"machine": machine(), "flows_px": flows, "errors": found}
 
 
 def _error(
     moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int
 ) -> float:
-    """The error by the best translation of 0 to `flow` pixels.
+    """The equivariance error at the best translation of 0 to `flow` pixels.
 
-    Cells that rolling round the border reaches are left out.
+    A translation rolls cells round the border of the map. The cells that this reaches are left out.
+
+    pixels : distance between the cells of the layer, in pixels; 0 if nothing can be translated.
     """
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
-    most = -(-flow // pixels)
-    border = -(-4 // pixels)
+    most = -(-flow // pixels)  # in cells, rounded up
+    border = -(-4 // pixels)  # 4 pixels in cells, rounded up
     inner = (..., slice(border, -border), slice(most + border, -border))
     size = (still - empty)[inner].norm()
     return min(float((moved - still.roll(by, -1))[inner].norm() / size) for by in range(most + 1))

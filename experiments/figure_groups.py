@@ -1,9 +1,10 @@
-"""Draw chapter 2 of the thesis on events: to which transformations a convolution is equivariant.
+"""Draw to which transformations a convolution is equivariant, as in chapter 2 of the thesis.
 
     python -m experiments.figure_groups --picture docs/images/groups.png
 
-The events of a bundled 3 are counted in an image, which is moved or turned before a convolution,
-and after it. Both are shown, and how far they differ, relative to the size of the features.
+The events of a bundled 3 are counted in an image. In the first way to its features, the image is
+moved or turned before a convolution. In the second way, the features are moved or turned after the
+convolution. The picture shows both, and their difference relative to the size of the features.
 """
 
 from __future__ import annotations
@@ -26,14 +27,23 @@ SIDE = 51
 """Width and height of the image, in pixels; odd, so that a quarter turn moves whole pixels."""
 
 WINDOW_US = 105_000
-"""Length of the window that is counted."""
+"""Length of the window whose events are counted, in microseconds."""
 
 Map = Callable[[torch.Tensor], torch.Tensor]
-"""What turns one image into another one, or into features."""
+"""A function that makes of an image another image, or features."""
 
 
 class Case(NamedTuple):
-    """A row: an image transformed before a map of it, and what should be the same."""
+    """A row of the picture: two ways to compute features, which equivariance would make the same.
+
+    With f the image, `of(before(f))` is compared with `expected(after(f))`.
+
+    words : title of the row.
+    before : transforms the image.
+    of : computes the features of the transformed image.
+    after : computes the features of the image as it is.
+    expected : transforms these features.
+    """
 
     words: str
     before: Map
@@ -53,34 +63,41 @@ def counted() -> torch.Tensor:
 
 
 def edge_filter() -> torch.Tensor:
-    """A filter for an edge that is not its own quarter turn, (1, 1, 5, 5)."""
+    """A filter for an edge, which a quarter turn changes; shape (1, 1, 5, 5)."""
     y, x = np.mgrid[-2:3, -2:3]
     return torch.from_numpy((x + 0.4 * y) * np.exp(-(x**2 + y**2) / 3.0))[None, None]
 
 
 def moved(by: int) -> Map:
+    """A function that moves an image to the right by `by` pixels, round the border."""
     return lambda image: image.roll(by, -1)
 
 
 def turned(image: torch.Tensor) -> torch.Tensor:
+    """An image after a quarter turn."""
     return image.rot90(1, (-2, -1))
 
 
 def convolved(filters: torch.Tensor) -> Map:
+    """A function that convolves an image with filters."""
     return lambda image: F.conv2d(image, filters, padding="same")
 
 
 def lifted(image: torch.Tensor) -> torch.Tensor:
-    """The maps of all four turns of the filter, 2 by 2."""
+    """Four maps of features, (1, 4, H, W): one for each quarter turn of the filter."""
     return torch.cat([convolved(edge_filter().rot90(k, (-2, -1)))(image) for k in range(4)], 1)
 
 
 def turned_lift(maps: torch.Tensor) -> torch.Tensor:
-    """What a quarter turn makes of `lifted`: each map is turned, and is that of the next turn."""
+    """The maps that `lifted` should have for a turned image.
+
+    Each map is turned, and takes the place of the map of the next quarter turn.
+    """
     return turned(maps).roll(1, 1)
 
 
 def pooled(image: torch.Tensor) -> torch.Tensor:
+    """The features of an image by the edge filter, pooled by 2."""
     return F.avg_pool2d(convolved(edge_filter())(image), 2)
 
 
@@ -98,14 +115,14 @@ CASES = (
     Case("moved by 2 px, pooled by 2", moved(2), pooled, pooled, moved(1)),
     Case("moved by 1 px, pooled by 2", moved(1), pooled, pooled, moved(1)),
 )
-"""With f the image: `of(before(f))` is compared with `expected(after(f))`."""
+"""The rows of the picture."""
 
 
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
-    """Two sets of features, and their relative difference.
+    """Two sets of features of a case, and their relative difference.
 
-    The first are the features of the transformed image, the second are the transformed features
-    of the image.
+    The first set has the features of the transformed image. The second set has the features of the
+    image, transformed.
     """
     one = case.of(case.before(image))
     other = case.expected(case.after(image))
@@ -138,7 +155,7 @@ def draw() -> Figure:
 
 
 def _tiled(maps: torch.Tensor) -> np.ndarray:
-    """One map, or four as 2 by 2."""
+    """One map as it is, or four maps side by side as 2 by 2."""
     parts: Any = maps[0].numpy()
     return parts[0] if len(parts) == 1 else np.block([[parts[0], parts[1]], [parts[2], parts[3]]])
 

@@ -24,7 +24,7 @@ LANDMARKS = ("center", "running", "line", "window")
 """Landmarks that are compared."""
 
 CASES = (*((name, False) for name in LANDMARKS), ("line", True))
-"""Landmark, and whether the flow is removed."""
+"""What is compared: a landmark, and whether the flow is removed."""
 
 WINDOW_US = 104_000
 """Length of a window, in microseconds."""
@@ -36,7 +36,7 @@ AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), gr
 """Window, sensor and grid of the reference."""
 
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
-"""Parts of the window at whose ends the law is measured."""
+"""Fractions of the window at which the law is measured."""
 
 
 def print_table(head: list[str], rows: list[list[str]]) -> None:
@@ -46,16 +46,23 @@ def print_table(head: list[str], rows: list[list[str]]) -> None:
 
 
 def constant(f: np.ndarray) -> np.ndarray:
+    """The share of the path covered at fractions f of the window, at constant speed."""
     return f
 
 
 def bell(f: np.ndarray) -> np.ndarray:
-    """Minimum jerk: a saccade's bell-shaped speed, at rest at both ends of the window."""
+    """The share of the path covered at fractions f of the window, with a saccade's speed.
+
+    The speed is bell-shaped (minimum jerk), and zero at both ends of the window.
+    """
     return f**3 * (10 - 15 * f + 6 * f**2)
 
 
 def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """An object: events at random in a disc of radius 10 px about the grid's centre, x and y."""
+    """The places x and y of an object's events.
+
+    They are random in a disc of radius 10 px about the grid's centre.
+    """
     rng = np.random.default_rng(seed)
     radius = 10 * np.sqrt(rng.random(N))
     angle = 2 * np.pi * rng.random(N)
@@ -64,11 +71,12 @@ def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.cache
 def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: bool) -> np.ndarray:
-    """How far the transform leaves each event of a moving object from where it is at rest.
+    """How far the motion of an object moves its transformed events, along x.
 
-    The distances are in units of D / t_max. D is the displacement over the window.
+    It is the distance of each event from the same event of the object at rest, both transformed, in
+    units of D / t_max. D is the displacement over the window.
     """
-    # The events come at an even rate, the last one at the window's end.
+    # the events come at an even rate, the last one at the window's end
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     moved = 16.0 * path(t / WINDOW_US)
     y = np.full(N, 100.0)
@@ -86,6 +94,7 @@ def name_of(landmark: str, remove_flow: bool) -> str:
 
 
 def landmark_table(path: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Print what `shift` gives for each case, at some fractions of the window."""
     rows = []
     for landmark, remove_flow in CASES:
         values = shift(path, landmark, remove_flow)
@@ -95,7 +104,7 @@ def landmark_table(path: Callable[[np.ndarray], np.ndarray]) -> None:
 
 
 def draw_motion_terms(path: str) -> None:
-    """Draw the motion that each landmark leaves in the volume, in the course of the window.
+    """Draw the motion that each landmark leaves in the volume, over the time in the window.
 
     A flat line means that the image is translated as a whole.
     """
@@ -119,14 +128,17 @@ def draw_motion_terms(path: str) -> None:
 
 
 def ridge_table() -> None:
-    """What `line` makes of a constant flow v by the window's end, if the event rate is even."""
+    """Print which flow `line` finds at the window's end, if the flow v is constant.
+
+    The events come at an even rate. The columns with formulas are those of docs/theory.md.
+    """
     rows = []
     for n in (10, 30, 100, 300, 1_300, 10_000):
         t = np.round((np.arange(n) + 1) * WINDOW_US / n).astype(np.int64)
         x = 100 + 16.0 * t / WINDOW_US
         flow = tnt_reference.fitted_flow(t, x, x, **AT)[-1, 0].item() / 16
         intercept = (tnt_reference.landmark("line", t, x, x, **AT)[-1, 0].item() - 100) / 16
-        c_ff = n / 12
+        c_ff = n / 12  # C of the formulas
         rows.append(
             [
                 f"{n:,}",
@@ -140,7 +152,7 @@ def ridge_table() -> None:
 
 
 def wander_table() -> None:
-    """How far the landmarks of 400 random objects at rest are from the objects' middles."""
+    """Print how far landmarks of 400 random objects at rest are from the objects' middles."""
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     rows = []
     for landmark in ("running", "line"):
@@ -152,7 +164,7 @@ def wander_table() -> None:
 
 
 def sample_windows() -> list[np.ndarray]:
-    """The three windows of each bundled sample, starting at its first event."""
+    """The three windows of each bundled sample. The first window starts at the first event."""
     windows = []
     for path in sample_recordings().values():
         events = open_recording(path).read()
@@ -162,7 +174,10 @@ def sample_windows() -> list[np.ndarray]:
 
 
 def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, Any]) -> np.ndarray:
-    """The volume of a window's events, moved right and up by whole pixels."""
+    """The volume that the stream makes of a window's events, moved right and up by `shift` pixels.
+
+    Pixels of the stream are whole numbers, so the shift is a whole number, too.
+    """
     volume = async_tnt.TNTVolume(async_tnt.TNTConfig(**options))
     volume.open(start_us)
     x = window["x"].astype(int) + shift
@@ -172,7 +187,10 @@ def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, A
 
 
 def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, Any]) -> np.ndarray:
-    """The volume by the batch reference, moved by any shift."""
+    """The volume that the reference makes of a window's events, moved by `shift` as in `streamed`.
+
+    Here the shift may be a fraction.
+    """
     return tnt_reference.tnt_volume(
         window["t"],
         window["x"] + shift,
@@ -188,10 +206,10 @@ def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, An
 
 
 def translation_table() -> None:
-    """Proposition 3 on the bundled samples: how much the volume of a translated stream differs.
+    """Print how much the volumes of translated samples differ, which Proposition 3 is about.
 
-    By 2 px each way, the most that the samples leave room for, in the stream; by 1/3 px in the
-    reference.
+    In the stream the samples are translated by 2 px each way, the most that they leave room for. In
+    the reference they are translated by 1/3 px.
     """
     inside = []
     for k, window in enumerate(sample_windows()):
@@ -209,52 +227,30 @@ def translation_table() -> None:
                 here = volume_of(window, start_us, 0, options)
                 there = volume_of(window, start_us, shift, options)
                 worst = max(worst, np.abs(there - here).max() / np.abs(here).max())
-            # rounding is the machine's own
+            # smaller numbers are rounding, which differs between machines
             cells.append("below 1e-6" if worst < 1e-6 else f"{worst:.2f}")
         rows.append([name_of(landmark, remove_flow), *cells])
     print_table(["landmark", "2 px, stream", "1/3 px, reference"], rows)
 
 
 def t_max_table() -> None:
-    """How many events each t_max keeps, and how large the last quarter of a window becomes."""
-    windows = sample_windows()
-    at: dict[str, Any] = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
+    """Print how many events each t_max keeps, and the size of an image in the last quarter."""
+    windows = [(window, k % 3 * 105_000) for k, window in enumerate(sample_windows())]
+    quarters = np.concatenate([_quarter(window, start_us) for window, start_us in windows])
     rows = []
     for t_max in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0):
-        kept_by = {}
+        kept = {}
         for landmark in ("center", "running", "line"):
-            kept = []
-            quarter = []
-            spread = []
-            spread_raw = []
-            inverse = []
-            for k, window in enumerate(windows):
-                start_us = k % 3 * 105_000
-                t = window["t"]
-                x = window["x"]
-                y = window["y"]
-                u, _, keep = tnt_reference.tnt_coordinates(
-                    t, x, y, start_us=start_us, **at, t_max=t_max, landmark=landmark
-                )
-                kept.append(keep.numpy())
-                quarter.append((t - start_us) * 4 // 105_000)
-                late = keep.numpy() & (quarter[-1] == 3)
-                spread.append(u.numpy()[late].std())
-                spread_raw.append(x[quarter[-1] == 3].std())
-                inverse.append((105_000 / (t_max * (t - start_us)[late])).mean())  # 1 / tau
-            keep_all = np.concatenate(kept)
-            quarter_all = np.concatenate(quarter)
-            kept_by[landmark] = keep_all.mean()
-            if landmark == "running":
-                lost = [1 - keep_all[quarter_all == q].mean() for q in range(4)]
-                shrunk = np.mean(spread) / np.mean(spread_raw)
-                expected = np.mean(inverse)
+            parts = [_transformed(*window, t_max, landmark)[1] for window in windows]
+            kept[landmark] = np.concatenate(parts)
+        lost = [1 - kept["running"][quarters == q].mean() for q in range(4)]
+        size, expected = _size_in_last_quarter(windows, t_max)
         rows.append(
             [
                 f"{t_max:g}",
-                *(f"{100 * kept_by[name]:.1f} %" for name in ("center", "running", "line")),
-                *(f"{100 * q:.1f} %" for q in lost),
-                f"{shrunk:.2f}",
+                *(f"{100 * of_landmark.mean():.1f} %" for of_landmark in kept.values()),
+                *(f"{100 * share:.1f} %" for share in lost),
+                f"{size:.2f}",
                 f"{expected:.2f}",
             ]
         )
@@ -270,8 +266,52 @@ def t_max_table() -> None:
     print_table(head, rows)
 
 
+def _quarter(window: np.ndarray, start_us: int) -> np.ndarray:
+    """The quarter of the window in which each event lies: 0, 1, 2 or 3."""
+    return (window["t"] - start_us) * 4 // 105_000
+
+
+def _transformed(
+    window: np.ndarray, start_us: int, t_max: float, landmark: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """The column of each transformed event, and whether the event is kept."""
+    u, _, keep = tnt_reference.tnt_coordinates(
+        window["t"],
+        window["x"],
+        window["y"],
+        start_us=start_us,
+        window_us=105_000,
+        sensor=(34, 34),
+        grid=(34, 34),
+        t_max=t_max,
+        landmark=landmark,
+    )
+    return u.numpy(), keep.numpy()
+
+
+def _size_in_last_quarter(
+    windows: list[tuple[np.ndarray, int]], t_max: float
+) -> tuple[float, float]:
+    """The size of transformed images as a share of their recorded size, and the expected share.
+
+    Both are of the last quarter of windows, with landmark `running`. A size is the standard
+    deviation of columns. The expected share is the mean of 1 / tau.
+    """
+    sizes = []
+    recorded_sizes = []
+    inverse_taus = []
+    for window, start_us in windows:
+        u, keep = _transformed(window, start_us, t_max, "running")
+        is_last = _quarter(window, start_us) == 3
+        late = keep & is_last
+        sizes.append(u[late].std())
+        recorded_sizes.append(window["x"][is_last].std())
+        inverse_taus.append((105_000 / (t_max * (window["t"] - start_us)[late])).mean())
+    return float(np.mean(sizes) / np.mean(recorded_sizes)), float(np.mean(inverse_taus))
+
+
 def border_counts() -> str:
-    """What float64 decides about events that lie on the border by exact arithmetic."""
+    """A sentence on events that exact arithmetic puts on the border: how many float64 moves out."""
     n = 0
     outside_a = 0
     outside_b = 0
@@ -302,9 +342,10 @@ def border_counts() -> str:
 
 
 def cancellation() -> str:
-    """What is left of 1000 ON and then 999 OFF events at one pixel between two bins.
+    """A sentence on the error of a cell after 1000 ON and then 999 OFF events.
 
-    It should be one event.
+    The events lie at one pixel between two bins. Each OFF event cancels the weight of an ON event,
+    so the weight of the last ON event should be left, which is .5.
     """
     rng = np.random.default_rng(2)
     weights = rng.random(999)

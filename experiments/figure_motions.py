@@ -1,8 +1,9 @@
-"""One digit under two motions, raw against transformed: two motions, one shape.
+"""Draw one digit under two motions, raw and transformed: two motions, one shape.
 
     python -m experiments.figure_motions 3 --picture docs/images/motions.png
 
-The first two windows, in which the digit moves in different directions.
+The picture shows the first two windows of a recording. In these, the digit moves in different
+directions.
 """
 
 from __future__ import annotations
@@ -43,13 +44,13 @@ N_SLICES = 4
 """Largest number of bins of a volume that are drawn."""
 
 MEAN_PARTS = 12
-"""Parts of the window between which the mean path is drawn."""
+"""Number of equal parts of the window. The mean path joins the mean positions in these parts."""
 
 AT_REST_PX = 0.5
 """Flow, in pixels in a window, below which the words say that nothing moves."""
 
 MEAN_SHARE = 0.03
-"""Least share of the events in a part; those of emptier parts are left out of the path."""
+"""Least share of the events that a part must have. The mean path leaves out emptier parts."""
 
 
 def draw_motions(first: Window, second: Window) -> Figure:
@@ -100,13 +101,14 @@ def _picture(window: Window, n_columns: int, n_rows: int) -> tuple[float, float]
 
 
 def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
-    """The evenly spaced bins with the most events.
+    """Indices of evenly spaced bins, at most `N_SLICES`, that have the most events together.
 
-    A saccade is slow at its start and end, and gives few events there.
+    The first and last bins of a saccade have few events, because it is slow there.
 
-    volumes : (..., C, H, W), not negative; C is B, or 2 B.
+    volumes : (N, C, H, W), not negative; C is B, or 2 B.
     """
-    weight = volumes.sum(axis=(0, -2, -1)).reshape(-1, n_bins).sum(axis=0)  # (B,)
+    of_channels = volumes.sum(axis=(0, -2, -1))  # (C,)
+    weight = of_channels.reshape(-1, n_bins).sum(axis=0)  # (B,)
     step = max(1, (n_bins - 1) // (2 * N_SLICES))
     n_shown = min(N_SLICES, n_bins)
     length = step * (n_shown - 1)
@@ -115,7 +117,7 @@ def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
 
 
 def direction(flow: np.ndarray, axis: int) -> str:
-    """The direction of a flow (x, y) along the drawn axis; y grows downwards."""
+    """Words for the direction of a flow (x, y) along the drawn axis; y grows downwards."""
     if abs(flow[axis]) < AT_REST_PX:
         return f"at rest along {'xy'[axis]}"
     back, forth = ("left", "right") if axis == 0 else ("up", "down")
@@ -127,7 +129,7 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
     config = window.subject.config
     u, v, kept, _ = window.coordinates()
     gain = config.to_grid(1.0, 1.0)[axis]
-    # pixels are whole numbers: spread out over their pixel, dots do not hide one another
+    # Pixels are whole numbers. Dots that are spread out over their pixel do not hide one another.
     spread = np.random.default_rng(0).uniform(-0.4, 0.4, kept.size) * gain
     _draw_dots(raw, window, window.events["xy"[axis]] * gain + spread, np.ones(kept.size, bool))
     _draw_dots(tnt, window, (u, v)[axis], kept)
@@ -137,9 +139,9 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
 
 
 def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -> None:
-    """Draw dots, and their mean position in each twelfth of the window.
+    """Draw dots, and the path of their mean position in each part of the window.
 
-    There is no mean position where many dots fell off the grid.
+    The path leaves out parts in which many dots fell off the grid.
     """
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
@@ -159,9 +161,9 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
 
 
 def flow_of(window: Window) -> tuple[float, float]:
-    """The slope (x, y) of the ridge line, in grid pixels per window.
+    """The slope (x, y) of the line that is fitted to a window's events, in grid pixels per window.
 
-    It is the direction in which the events move.
+    The events move in this direction.
     """
     volume = TNTVolume(window.subject.config.replace(landmark="line", remove_flow=False))
     volume.open(window.start_us)

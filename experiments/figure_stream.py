@@ -1,6 +1,6 @@
 """Make README's moving picture of a stream.
 
-It shows recordings, and what `digits` decides every millisecond.
+The picture shows recordings, and what `digits` decides every millisecond.
 
     python -m experiments.figure_stream --picture docs/images/stream.gif
 
@@ -39,7 +39,7 @@ DURATION_US = 315_000
 """How long each recording lasts, in microseconds."""
 
 SIDE = 7
-"""Width and height of a pixel of the sensor in the picture."""
+"""Width and height of one pixel of the sensor, in pixels of the picture."""
 
 WIDTH = 560
 """Width of the picture, in pixels."""
@@ -55,7 +55,7 @@ PALE = "#d8d8d8"
 
 
 def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
-    """The events that each frame shows, the newest decision, and the seconds so far."""
+    """For each frame, the events that it shows, the newest decision, and the seconds so far."""
     processor = Processor(load_model("digits"), every_us=1_000, start_us=0)
     before_us = 0
     for digit in DIGITS:
@@ -71,7 +71,7 @@ def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
 
 
 def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Image.Image:
-    """One picture."""
+    """One frame of the moving picture."""
     from PIL import Image, ImageDraw, ImageFont
 
     image = Image.new("RGB", (WIDTH, HEIGHT), "white")

@@ -1,14 +1,18 @@
-"""In how many windows motion re-synthesis finds a path, and in how many the path is right.
+"""In how many windows motion re-synthesis finds a path, and how often the path is right.
 
-It also counts the paths that are found where nothing moves.
+The report also counts the paths that are found where nothing moves.
 
     python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
 
-N-MNIST's three saccades, with all and with a fifth of their events, and thirds of saccades with a
-fifth, alone and with the windows beside them: right is within 45 degrees of the median of those at
-full rate. Made hand motion, also of objects that turn or come near meanwhile: within 45 degrees of
-the direction of the swing. Noise is made here: uniform, all pixels flickering at once, of one
-polarity, in pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
+There are three kinds of windows:
+
+- N-MNIST's three saccades, with all of their events and with a fifth of them, and thirds of
+  saccades with a fifth of the events, alone and together with the windows beside them. A path is
+  right if it is within 45 degrees of the median path of the saccade with all events.
+- Made hand motion, also of objects that turn or come nearer meanwhile. A path is right if it is
+  within 45 degrees of the direction of the swing.
+- Noise of 50 to 3,000 events a window: uniform, all pixels flickering at once, of one polarity, in
+  pairs of opposite polarity, and at hot pixels.
 """
 
 from __future__ import annotations
@@ -54,10 +58,10 @@ HANDS = {
     "growing by 12 %": replace(FIRST, nearer=0.12),
     "growing by 25 %": replace(FIRST, nearer=0.25),
 }
-"""Title -> a session of hand motion; turning and growing are standard deviations in a swing."""
+"""Title -> a session of hand motion. The numbers of titles are standard deviations for a swing."""
 
 PARTS = np.arange(1, 17) / 16
-"""Times in a window, as shares of its length, at which a path's places are looked at."""
+"""Times in a window, as shares of its length, at which the places of a path are compared."""
 
 
 def paths_of(
@@ -69,12 +73,15 @@ def paths_of(
 
 
 def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
-    """How many paths were found, and how many are right, of these and of all.
+    """A row of the report: the share of paths found, and the shares right of these and of all.
 
-    A path is right if it leads within 45 degrees of `angles`, in radians.
+    A path is right if its mean place lies within 45 degrees of the window's angle in `angles`, in
+    radians.
     """
-    leads = np.array([path.at(PARTS).mean(0) for path in paths])
-    off = np.abs(np.angle(np.exp(1j * (np.arctan2(leads[:, 1], leads[:, 0]) - angles))))
+    means = np.array([path.at(PARTS).mean(0) for path in paths])
+    path_angles = np.arctan2(means[:, 1], means[:, 0])
+    # the difference of two angles, in [0, pi]
+    off = np.abs(np.angle(np.exp(1j * (path_angles - angles))))
     found = np.array([not path.refused for path in paths])
     return {
         "windows": len(paths),
@@ -87,7 +94,7 @@ def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
 
 
 def saccades(folder: Path, n: int) -> dict[str, Any]:
-    """N-MNIST's saccades, at each rate."""
+    """The rows of N-MNIST's saccades, for each share of the events."""
     rng = np.random.default_rng(0)
     names = sorted(map(str, folder.glob("Train/*/*.bin")))
     files = [Path(name) for name in rng.permutation(names)[:n]]
@@ -98,6 +105,7 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
     angles: dict[int, float] = {}
 
     def cut(file: Path, from_us: int, until_us: int, rate: float, start_us: int) -> Columns:
+        """A share of a file's events in [from_us, until_us), with times since `start_us`."""
         events = read_nmnist(file)
         inside = (events["t"] >= from_us) & (events["t"] < until_us)
         kept = events[inside & (rng.random(len(events)) < rate)]
@@ -130,7 +138,7 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
 
 
 def swings(n: int) -> dict[str, Any]:
-    """Made hand motion, in all directions."""
+    """The rows of made hand motion, in all directions."""
     rows = {}
     for k, (title, session) in enumerate(HANDS.items()):
         windows = []
@@ -150,6 +158,7 @@ def _uniform(n: int, rng: np.random.Generator) -> Columns:
 
 
 def _flicker(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """All pixels flicker at once: bursts of OFF and of ON take turns."""
     _, x, y, _ = _uniform(n, rng)
     halves = 2 * rng.integers(3, 12)
     which = np.sort(rng.integers(0, halves, n))
@@ -162,11 +171,13 @@ def _one_polarity(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def _pairs(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Each OFF event is followed by an ON event at its pixel and time."""
     t, x, y, _ = _uniform(n // 2, rng)
     return [t.repeat(2), x.repeat(2), y.repeat(2), np.tile([0, 1], n // 2)]
 
 
 def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """About .7 of the events are at one to five hot pixels, the others anywhere."""
     t, x, y, p = _uniform(n, rng)
     hot = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
     which = rng.integers(0, len(hot), n)
@@ -181,17 +192,17 @@ NOISE: dict[str, Callable[[int, np.random.Generator], Sequence[np.ndarray]]] = {
     "pairs": _pairs,
     "hot pixels": _hot_pixels,
 }
-"""Name -> what makes so many events of noise."""
+"""Name of a kind of noise -> function that makes about n events of it."""
 
 
 def noise_windows(kind: str, n: int, rng: np.random.Generator) -> list[Columns]:
-    """`n` windows of a kind of `NOISE`, of any number of events."""
+    """`n` windows of a kind of `NOISE`, with `FEWEST` to `MOST` events each."""
     counts = (int(np.exp(rng.uniform(np.log(FEWEST), np.log(MOST)))) for _ in range(n))
     return [_columns(NOISE[kind](count, rng)) for count in counts]
 
 
 def noise(n: int) -> dict[str, Any]:
-    """Windows in which nothing moves."""
+    """The rows of noise: windows in which nothing moves."""
     rng = np.random.default_rng(0)
     rows = {}
     for kind in NOISE:
@@ -208,13 +219,15 @@ def _columns(columns: Iterable[np.ndarray]) -> Columns:
 
 
 def measure(nmnist: Path | None, n: int) -> dict[str, Any]:
-    """Measure all rows of the report."""
-    rows = {**(saccades(nmnist, n) if nmnist else {}), **swings(n), **noise(n)}
+    """The report. Without a folder of N-MNIST, its rows are left out."""
+    rows = saccades(nmnist, n) if nmnist else {}
+    rows |= swings(n)
+    rows |= noise(n)
     return {"machine": machine(), "rows": rows}
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("found_paths", __doc__, "eight windows of each kind")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
     add_count(parser, "--windows", 200, "of each kind")

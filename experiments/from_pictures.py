@@ -4,20 +4,22 @@
                                         [--made] [--fonts FOLDER] [--seeds N] [--out FOLDER]
                                         [--json FILE]
 
-nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part
-            (numbers above 60,000), and simulated motions, speeds and bright digits
-            (`pictures/moving_digits.py`); the first network, with its test in its record, becomes
-            FOLDER/digits-from-pictures.safetensors
-poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that
-            follow a pip
-characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
-            `examples/hots_characters.py`
-made        ten pictures of each of six objects, with backgrounds, and recordings of others
-            (`pictures/made.py`)
+Each set has pictures for training and recordings for the test:
+
+nmnist      Training: MNIST's training images. Test: N-MNIST's official test part, which is Test and
+            the recordings of Train with numbers above 60,000; also digits simulated in other
+            motions, at other speeds and bright (`pictures/moving_digits.py`). The first network,
+            with its test in its record, becomes FOLDER/digits-from-pictures.safetensors.
+poker       Training: card pips, drawn with fonts. Test: both parts of POKER-DVS. Its recordings are
+            crops that follow a pip.
+characters  Training: ten digits and 26 letters, drawn with fonts. Test: both parts of HOTS'
+            characters, which `examples/hots_characters.py` makes.
+made        Training: ten pictures of each of six objects, with backgrounds. Test: made recordings
+            of other objects of these kinds (`pictures/made.py`).
 
 Each network is trained by `async-tnt train PICTURES` with the options that its row states, and
-reads the recordings once. Finished trainings in --out are kept, interrupted ones resume, and what
-FILE has of other sets stays there.
+reads the recordings once. Finished trainings in --out are kept, and interrupted trainings resume.
+FILE keeps the entries of sets that this run does not measure.
 """
 
 from __future__ import annotations
@@ -70,11 +72,12 @@ TESTS = {
     "characters": ["Train", "Test"],
     "made": ["Test"],
 }
-"""Set -> the folders whose recordings are tested."""
+"""Set -> the folders whose recordings are for the test."""
 
 OPTIONS = {
-    # 20 of 28 pixels are a digit's, and 28 of the sensor's 34 a picture's; of so many pictures more
-    # epochs and a wider network learn more, and a few tell how well
+    # A digit has about 20 of the 28 pixels of its picture, and N-MNIST shows the picture on 28 of
+    # the sensor's 34 pixels: a digit has about .6 of the sensor's size. There are many pictures, so
+    # a wide network and many epochs pay, and a small share is enough to validate.
     "nmnist": "--sensor 34x34 --size 0.5-0.7 --validation 0.05 --network wide --epochs 40",
     "poker": "--sensor 35x35 --window-us 25000",
     "characters": "--sensor 32x32",
@@ -83,17 +86,17 @@ OPTIONS = {
 """Set -> options of `train`."""
 
 FOLLOWING = {"poker": VolumeChoice.of(window_us=25_000), "characters": VolumeChoice.of()}
-"""Sets whose recordings are crops that follow the object, which no option simulates: what
-`train_following` is given with the options."""
+"""Set whose recordings are crops that follow the object -> the choice of its volume. No option of
+`async-tnt train` simulates such crops, so `train_following` trains for these sets."""
 
 SENSORS = {"poker": (35, 35), "characters": (32, 32)}
-"""Sensors of these sets, (width, height) in pixels."""
+"""Set of `FOLLOWING` -> width and height of its sensor, in pixels."""
 
 
 def train_following(
     name: str, pictures: Path, seed: int, epochs: int | None, out: Path
 ) -> dict[str, Any]:
-    """Train as `async-tnt train`, by a simulated sensor that follows the object.
+    """Train as `async-tnt train` does, but with a simulated sensor that follows the object.
 
     Writes the model to `out`, and returns its record.
     """
@@ -142,7 +145,10 @@ def link_official(nmnist: Path, out: Path) -> None:
 def measure(
     name: str, pictures: Path, tests: list[Path], seeds: int, out: Path, more: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Train with each seed, and test."""
+    """The entry of a set in the report, with a trained and tested network for each seed.
+
+    more : options of `train` besides those of `OPTIONS`.
+    """
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     with progress(seeds, f"training for {TITLES[name]}") as bar:
@@ -186,7 +192,10 @@ def measure(
 
 
 def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) -> dict[str, Any]:
-    """What the networks have of `n` simulated digits; also writes the model to bundle."""
+    """Accuracies of the networks on `n` simulated digits.
+
+    Also writes the model to bundle: the first network, with its test in its record.
+    """
     models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
     tested = {"recordings of": "N-MNIST's official test part", **networks[0], "minutes": None}
     bundled = replace(models[0], record={**models[0].record, "test": tested})
@@ -196,7 +205,7 @@ def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) 
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Draw, train, test, print and write."""
+    """Make the pictures, train and test the networks, print the tables, and write the report."""
     parser = script_parser("from_pictures", __doc__, "one seed and epoch, 20 pictures of MNIST")
     for name in [name for name in TITLES if name != "made"]:
         add_folder(parser, f"--{name}", TITLES[name])

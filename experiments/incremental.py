@@ -1,13 +1,15 @@
-"""What it brings to compute only what has changed, for four networks.
+"""How much time four networks save by computing only what has changed.
 
-Ours is compared with onnxruntime, OpenVINO and torch.
+Our engine computes only what has changed. It is compared with onnxruntime, OpenVINO and torch.
 
     python -m experiments.incremental [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, interleaved (see decisions.py), on the bundled recordings, whose
-34 x 34 pixels are mapped onto each network's grid; random weights, since times do not depend on
-them as long as about half of the ReLUs are open. Before anything is timed, all must give the same
-logits within 1e-4. Packages that are not installed are left out: `pip install torch==2.13.0 onnx
+All backends run in one process with one thread each, and take turns as in `experiments.decisions`.
+They see the bundled recordings, whose 34 x 34 pixels are mapped onto each network's grid. Weights
+are random: times do not depend on them as long as about half of the ReLUs are open. Before anything
+is timed, all backends must give the same logits within 1e-4.
+
+Packages that are not installed are left out. To install all: `pip install torch==2.13.0 onnx
 onnxruntime openvino`.
 """
 
@@ -17,7 +19,7 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-if __name__ == "__main__":  # before any library reads them
+if __name__ == "__main__":  # libraries read these variables when they are imported
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import torch
@@ -50,13 +52,13 @@ PACKAGES = ("torch", "onnx", "onnxruntime", "openvino")
 """Packages whose versions the report names."""
 
 NOT_DRAWN = "onnxruntime_run"
-"""Row that the picture leaves out: the binding is as fast or faster."""
+"""Row that the picture leaves out, because `onnxruntime_binding` is as fast or faster."""
 
 
 def gesture(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network as is common for DVS gestures.
+    """A network of a kind that is common for recordings of gestures.
 
-    It has a 2x2 stem of stride 2, 3x3 convolutions, average pools and a dense layer.
+    It has a 2x2 convolution of stride 2, 3x3 convolutions, average pools and two dense layers.
     """
     layers: list[nn.Module] = [nn.Conv2d(channels, 16, 2, 2), nn.ReLU()]
     for n_inputs, n_filters in ((16, 16), (16, 32), (32, 32), (32, 64)):
@@ -81,13 +83,14 @@ NETWORKS: dict[str, tuple[Callable[..., nn.Module], TNTConfig, int]] = {
     ),
     "gesture": (gesture, TNTConfig(grid=(128, 128), representation="count", polarity="split"), 11),
 }
-"""Name -> (build, volume, classes)."""
+"""Name -> the function that builds the network, the settings of its volume, its number of
+classes."""
 
 
 def made_model(name: str) -> Model:
     """A model with torch's initial weights.
 
-    The statistics of its batch norms keep the numbers of all layers alive.
+    Its batch norms get random statistics, with which the features of no layer vanish.
     """
     build, config, n_classes = NETWORKS[name]
     with torch.random.fork_rng():
@@ -101,11 +104,11 @@ def made_model(name: str) -> Model:
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """Measure everything, and return one JSON object.
+    """The report of all measurements, as one JSON object.
 
     Raises
     ------
-    WorkDiffers : backends do not agree. Then nothing is reported.
+    WorkDiffers : backends do not give the same results. Then there is no report.
     """
     rows = {}
     with progress(len(NETWORKS) * (len(NEW_EVENTS) + 2), "compiling") as bar, one_thread(True):
@@ -148,7 +151,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 
 
 def draw_incremental(report: dict[str, Any]) -> Figure:
-    """Medians and quartiles in blocks; hollow: medians from call to call."""
+    """Draw medians and quartiles of times in blocks, and hollow, medians from call to call."""
     figure = new_figure(4.4)
     looks = {name: look for name, look in LOOKS.items() if name != NOT_DRAWN}
     for k, (name, row) in enumerate(report["networks"].items()):
@@ -172,7 +175,10 @@ def draw_incremental(report: dict[str, Any]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
+    """Measure the report, print its tables, and write JSON and the picture if asked.
+
+    Returns 1 if backends do not give the same results.
+    """
     parser = script_parser("incremental", __doc__, "a few decisions of each", draws=True)
 
     def measured(quick: bool) -> dict[str, Any]:

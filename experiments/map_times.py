@@ -1,22 +1,29 @@
 """The time that a map model takes from events to objects, on large sensors.
 
-It is compared with the time it takes to compute the whole map.
+This time is compared with the time that it takes to compute the whole map.
 
     python -m experiments.map_times [--quick] [--ssla-rt PROGRAM WEIGHTS] [--json FILE]
 
-The bundled `digits-everywhere`, and four convolutions with random weights, after bundled recordings
-that stand anywhere on the sensor, 1,400 events a window. One process, one thread, warm; at each
-moment in turn: one event after another one, 1,000 more, the first event of another window, the
-whole map by ours and by ONNX Runtime. Each time is that of `push` and `fire`, or of the call with
-the volume as an array. Before that, ours must give the same objects either way to the bit, and ONNX
-Runtime the same map to 1e-4.
+The models are the bundled `digits-everywhere`, and four convolutions with random weights. They see
+bundled recordings that stand anywhere on the sensor, with 1,400 events a window. All runs in one
+process with one thread, and is warm. At each moment these are timed in turn:
 
-With --ssla-rt also SSLA-RT (https://github.com/haohq19/ssla-rt), which has a network of its own
-that drops three of four events at each of its stages, by its own clock: its program `s2_decomp_st`,
-and a folder that its `tools/make_ssla_stub.py --h 240 --w 304` wrote.
+- `push` and `fire` with one event, which follows another event,
+- `push` and `fire` with 1,000 more events,
+- `push` and `fire` with the first event of a window,
+- the whole map of a volume, by our engine and by ONNX Runtime.
 
-Then a million events a second: recordings sped up, each moving across 320x240 pixels, with a
-decision every millisecond; processor time for each second of the stream.
+Before anything is timed, our objects must be the same to the bit for any cut of the events into
+packets. ONNX Runtime must give the same map as our engine, within 1e-4.
+
+With --ssla-rt, SSLA-RT (https://github.com/haohq19/ssla-rt) is measured, too, by its own clock. It
+has a network of its own, which drops three of four events at each of its stages. PROGRAM is
+SSLA-RT's program `s2_decomp_st`. WEIGHTS is a folder that was written by SSLA-RT's
+`tools/make_ssla_stub.py --h 240 --w 304`.
+
+Last comes the load of a million events a second: recordings sped up, each moving across 320x240
+pixels, with a decision every millisecond. The report has the processor time for each second of the
+stream.
 """
 
 from __future__ import annotations
@@ -30,7 +37,7 @@ from dataclasses import replace
 from tempfile import TemporaryDirectory
 from typing import Any
 
-if __name__ == "__main__":  # before any library reads them
+if __name__ == "__main__":  # libraries read these variables when they are imported
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import numpy as np
@@ -52,10 +59,10 @@ SIDE = 34
 """Width and height of a recording, in pixels."""
 
 OBJECTS = 3
-"""Number of recordings that stand on the sensor; under load from one to so many."""
+"""Number of recordings that stand on the sensor. Under load, each number up to this is measured."""
 
 A_WINDOW = 1_400
-"""Events of a window."""
+"""Number of events of a window."""
 
 MOMENTS = 300
 """Number of moments that are timed."""
@@ -71,9 +78,9 @@ EVERY_US = 1_000
 
 
 def four(channels: int) -> nn.Module:
-    """A network of four convolutions, with a place for 8x8 pixels.
+    """A network of four convolutions, whose map has a place for each 8x8 pixels.
 
-    Its last bias makes the answer "nothing" likely, as few objects are there to be found.
+    Its last bias makes the answer "nothing" likely, because few places have an object.
     """
     widths = (channels, 16, 32, 32, 48)
     strides = (2, 2, 2, 1)
@@ -98,9 +105,9 @@ def models() -> dict[str, Model]:
 def moving(
     sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, speed: float
 ) -> np.ndarray:
-    """n events of recordings, which are repeated.
+    """About `n` events of `n_objects` bundled recordings, each repeated at a place that moves.
 
-    Each recording has its place, which moves by `speed` pixels a second.
+    The places move by `speed` pixels a second.
     """
     rng = np.random.default_rng(n_objects)
     room = np.array(sensor) - SIDE - 1
@@ -111,7 +118,7 @@ def moving(
         events["t"] = np.arange(len(events)) * duration_us // len(events)
         diagonal = np.sqrt([0.5, 0.5])
         path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * diagonal)
-        # The recording moves back and forth.
+        # the recording moves back and forth
         path = np.abs(path % (2 * room) - room).astype(int)
         events["x"] += path[:, 0].astype(np.uint16)
         events["y"] += path[:, 1].astype(np.uint16)
@@ -121,11 +128,11 @@ def moving(
 
 
 def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network]) -> None:
-    """Check that objects and maps are the same either way.
+    """Check that objects do not depend on the cut into packets, and that all networks agree.
 
     Raises
     ------
-    WorkDiffers : objects or maps differ.
+    WorkDiffers : the objects differ, or the map of a network differs from ours.
     """
     at_once = Processor(model, start_us=0)
     in_parts = Processor(model, start_us=0)
@@ -149,7 +156,7 @@ def _objects(decision: Decision) -> list[Any]:
 
 
 def times(model: Model, n_moments: int) -> dict[str, Any]:
-    """Microseconds of each case."""
+    """What is timed -> statistics of its time, in microseconds."""
     networks = backends.dense_networks(model)
     networks = {name: networks[name] for name in ("dense", "onnxruntime_run") if name in networks}
     duration_us = model.config.window_us * n_moments
@@ -171,7 +178,8 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
         for k in range(n_moments):
             of_moment = events[A_WINDOW * k : A_WINDOW * (k + 1)]
             decide(followed)(of_moment[:299])
-            # This decision is not timed. It fills the caches again, which a dense pass has emptied.
+            # This decision is not timed. It fills the caches again, after a dense pass has emptied
+            # them.
             decide(followed)(of_moment[299].item())
             timed("one event", decide(followed), of_moment[300].item())
             timed("1,000 events", decide(followed), of_moment[301:1301])
@@ -181,12 +189,13 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
             decide(fresh)(of_moment)
             for name, network in networks.items():
                 timed(name, network, volume)
+    # the first tenth is left out, in which caches and branch predictors get warm
     warm = {name: np.array(values[len(values) // 10 :]) for name, values in measured.items()}
     return {name: latency(values) for name, values in warm.items()}
 
 
 def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
-    """Microseconds of an event in SSLA-RT."""
+    """The median and the 99th percentile of an event's time in SSLA-RT, in microseconds."""
     events = moving(SENSORS[1], OBJECTS, A_WINDOW * n_moments, 105_000 * n_moments, 20.0)
     with TemporaryDirectory() as folder:
         path = f"{folder}/events.npy"
@@ -201,7 +210,7 @@ def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
 
 
 def load(model: Model, n_objects: int, seconds: float) -> float:
-    """Processor seconds for each second of the stream."""
+    """Processor seconds for each second of the stream, under load."""
     events = moving(SPEED_SENSOR, n_objects, int(RATE * seconds), int(1e6 * seconds), 100.0)
     packets = [events[first : first + 1_000].copy() for first in range(0, len(events), 1_000)]
     processor = Processor(model.for_sensor(SPEED_SENSOR), start_us=0, every_us=EVERY_US)
@@ -215,7 +224,7 @@ def load(model: Model, n_objects: int, seconds: float) -> float:
 
 
 def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
-    """Measure the whole report."""
+    """The report. `peer` is the program of SSLA-RT and its weights, or None."""
     n_moments = 20 if quick else MOMENTS
     seconds = 0.05 if quick else 1.0
     rows: dict[str, Any] = {}
@@ -240,7 +249,10 @@ def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run, print, and write JSON if asked. Returns 1 if ways do not agree."""
+    """Measure the report, print its tables, and write JSON if asked.
+
+    Returns 1 if networks do not give the same results.
+    """
     parser = script_parser("map_times", __doc__, "few moments")
     parser.add_argument(
         "--ssla-rt", nargs=2, metavar=("PROGRAM", "WEIGHTS"), help="measure it, too"

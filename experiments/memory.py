@@ -1,12 +1,12 @@
 """Does memory grow during a long stream?
 
-Resident memory after the first million events and at the end.
+The answer is the resident memory after the first million events, and at the end.
 
     python -m experiments.memory [--events 100000000] [--limit-mb 4]
 
-Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand),
-packets come as structured arrays, columns and single events. Prints one JSON object. Exit code 1 if
-memory grew by more than the limit.
+Windows open and close. Decisions are made at the ends of windows, every 20 ms and on demand.
+Packets come as structured arrays, as columns and as single events. The command prints one JSON
+object. Its exit code is 1 if memory grew by more than the limit.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ MODEL = "digits"
 """The model that decides."""
 
 FIRST = 1_000_000
-"""Number of events after which the first memory is noted."""
+"""Number of events after which memory is noted for the first time."""
 
 PACKET = 1300
-"""Events of a packet."""
+"""Number of events of a packet."""
 
 PACKETS_A_WINDOW = 13
-"""Packets of each window."""
+"""Number of packets of a window."""
 
 SINGLES = 50
-"""Events of one packet in each window that come one by one."""
+"""Number of events that come one by one, at the start of each window."""
 
 
 def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
     """Push one window's events, `start_us` later than recorded; returns the number of decisions."""
     n_decisions = 0
     for k in range(PACKETS_A_WINDOW):
-        # A driver hands over new memory each time.
+        # a camera's driver hands over new memory each time, too
         packet = window[k * PACKET : (k + 1) * PACKET].copy()
         packet["t"] += start_us
         if k % 3 == 1:
@@ -62,7 +62,7 @@ def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Stream, print, and compare with the limit."""
+    """Push the events, print the result, and compare the growth with the limit."""
     parser = plain_parser("memory", __doc__)
     add_json(parser)
     parser.add_argument(
@@ -106,7 +106,7 @@ def main(argv: list[str] | None = None) -> int:
         raise RuntimeError(
             f"{n_events:,} events were pushed, {processor.counts.received:,} counted"
         )
-    assert first_mb is not None  # FIRST was passed
+    assert first_mb is not None  # more than FIRST events were pushed
     grown_mb = last_mb - first_mb
     result = {
         "machine": machine(),

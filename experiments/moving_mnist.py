@@ -112,7 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Make the set, compare it, and print. Returns the exit code 0."""
+    """Make the set, compare it with N-MNIST, and print both. Returns the exit code 0."""
     parser = plain_parser("moving_mnist", DESCRIPTION, EPILOG)
     add_arguments(parser)
     args = parser.parse_args(argv)
@@ -122,7 +122,7 @@ def main(argv: list[str] | None = None) -> int:
         if folder is not None:
             check_folder(folder, (MANIFEST,))
     if nmnist is not None:
-        # raises before the long work rather than after it
+        # a folder without recordings is refused here, before the long work
         recordings_by_image(nmnist, args.split)
 
     started = time.monotonic()
@@ -161,14 +161,14 @@ def _nmnist_folder(given: Path | None) -> Path | None:
 
 
 def _size(made: MovingMnist) -> int:
-    """Bytes of all shards."""
+    """The size of all shards together, in bytes."""
     return sum(path.stat().st_size for path in made.shards)
 
 
 def _as_json(
     made: MovingMnist, columns: Columns, motions: str, seconds: float
 ) -> dict[str, object]:
-    """The answer of --json. A number that is not finite is null."""
+    """The object that --json prints. A number that is not finite is null."""
     statistics = {
         title: {name: value if math.isfinite(value) else None for name, value in column.items()}
         for title, column in columns.items()

@@ -2,19 +2,19 @@
 
     python -m experiments.network [--seconds 60] [--rate 1000000] [--pings 2000]
 
-Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a
-`UdpSource`, and one whose `Processor` decides on each: from just before `send` to the bytes, the
-packet, or the decision in hand. The plain socket shows how long the system takes to wake a process;
-the rest is ours.
+Latency. The other process sends one datagram of 100 events per millisecond. The receivers take
+turns: a plain blocking socket, a `UdpSource`, and a `UdpSource` whose `Processor` decides on each
+datagram. The time is taken from just before `send` until the bytes, the packet or the decision are
+there. The plain socket shows how long the system takes to wake a process; the rest is ours.
 
-Load. Events at an even rate for `--seconds`, in datagrams that fit Ethernet, to a `UdpSource` and a
-`Processor` that decides every 5 ms. Each event carries the time at which it was due on the clock
-that both processes share, so that a decision's delay (its newest event to the decision in hand)
-holds the sender's pacing and the system's buffer, too.
+Load. The other process sends events at an even rate for `--seconds`, in datagrams that fit
+Ethernet, to a `UdpSource` and a `Processor` that decides every 5 ms. Each event has the time at
+which it was due, on the clock that both processes share. A decision's delay is counted from its
+newest event, so it includes delays by the sender and in the system's buffer.
 
-Prints one JSON object. Exit code 1 if a datagram is missing, or if the sender fell short of the
-rate by more than 1 %. What becomes of more events than a machine can decide on is measured by
-`experiments.sustained`.
+The command prints one JSON object. Its exit code is 1 if a datagram is missing, or if the sender
+fell short of the rate by more than 1 %. `experiments.sustained` measures what happens to more
+events than a machine can decide on.
 """
 
 from __future__ import annotations
@@ -47,28 +47,28 @@ SILENCE_S = 2.0
 """Seconds without a datagram after which the stream has ended."""
 
 EVENTS = 100
-"""Events of a datagram: 1300 bytes, which fit Ethernet."""
+"""Number of events of a datagram. Its 1300 bytes fit Ethernet."""
 
 WAYS = ("plain_socket", "packet", "decision")
 """Ways of receiving that are compared."""
 
 SHARE_S = 1e-4
-"""The sender sends what is due in so many seconds at once, one datagram at least."""
+"""The sender sends the events of this time at once, in seconds. It sends one datagram at least."""
 
 BUFFER_BYTES = 1 << 22
-"""Size of the buffer of the system for datagrams that wait."""
+"""Size of the system's buffer for datagrams that wait, in bytes."""
 
 
 # -- the other process -----------------------------------------------------------------------------
 
 
 def random_events(n: int) -> np.ndarray:
-    """n events on 34x34 pixels, whose times are set later."""
+    """`n` events on 34x34 pixels. The sender sets their times."""
     return structured(made_columns(np.random.default_rng(0), (34, 34), n, n))
 
 
 def send_pings(ports: list[int], n: int) -> None:
-    """Send one datagram a millisecond to each of the ports in turn.
+    """Send `n` datagrams to each port: one datagram a millisecond, to the ports in turn.
 
     All events of a datagram have the time of sending.
     """
@@ -81,20 +81,22 @@ def send_pings(ports: list[int], n: int) -> None:
 
 
 def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
-    """Send events at an even rate, and return what was sent.
+    """Send events at an even rate, and return counts of what was sent.
 
-    One datagram is sent at a time, or the share of a tenth of a millisecond.
+    The events of `SHARE_S` seconds are sent at once, as a share of the load. A share is one
+    datagram at least, or the events of a second if these are fewer.
     """
+    # number of events of a share
     n = max(1, round(rate * SHARE_S), min(EVENTS, round(rate)))
     events = random_events(n)
-    # the last is due at the end
+    # times before the end of the share; the last event is due at its end
     offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)
     n_shares = max(1, round(seconds * rate / n))
     n_datagrams = 0
     n_bytes = 0
     n_refused = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.connect(("127.0.0.1", port))  # so that a refusal is reported
+        sender.connect(("127.0.0.1", port))  # only a connected socket reports refused datagrams
         started_ns = time.monotonic_ns()
         for k in range(1, n_shares + 1):
             due_ns = started_ns + round(k * n * 1e9 / rate)
@@ -120,7 +122,7 @@ def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
 
 
 def other_process(*task: Any) -> subprocess.Popen[str]:
-    """This script in a new process, with a task."""
+    """A new process of this script, which does a task: a key of `main`'s `tasks` and arguments."""
     words = [sys.executable, "-m", "experiments.network", "--task", json.dumps(task)]
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
@@ -129,7 +131,10 @@ def other_process(*task: Any) -> subprocess.Popen[str]:
 
 
 def measure_latency(model: Any, n: int) -> dict[str, Any]:
-    """Microseconds from `send` to each of `WAYS`, and what ours add to the plain socket's."""
+    """Statistics of the latency from `send` on, for each of `WAYS`, in microseconds.
+
+    `packet_adds` is the latency of a packet minus the latency of the plain socket.
+    """
     late_us: dict[str, list[float]] = {way: [] for way in WAYS}
     sensor = model.config.sensor
     processor = Processor(model, every_events=EVENTS)
@@ -148,7 +153,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                 sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
                 for way, source in (("packet", packets), ("decision", deciding)):
-                    # it came with the one before: we were a round late
+                    # We were late: this datagram came in one packet with the previous datagram.
                     if n_events[way] > k * EVENTS:
                         continue
                     packet = source.receive(30)
@@ -170,7 +175,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
 
 
 def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
-    """Receive and decide until the sender is silent."""
+    """The report of the load. Receives and decides until the sender is silent."""
     processor = Processor(model, every_us=EVERY_US)
     delays_us: list[float] = []
     with UdpSource(
@@ -179,7 +184,8 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
         sending = other_process("load", source.port, seconds, rate)
         try:
             for packet in source:
-                source.timeout_s = SILENCE_S  # once events have come
+                # only the first packet may take long, because the sender starts
+                source.timeout_s = SILENCE_S
                 for decision in processor.push(packet):
                     delays_us.append(time.monotonic_ns() / 1e3 - decision.time_us)
             sent = json.loads(sending.communicate(timeout=30)[0])
@@ -204,7 +210,7 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
 
 
 def wrong_with_load(result: dict[str, Any]) -> list[str]:
-    """Problems under load: anything missing, or a sender that was too slow."""
+    """Problems under load: missing or malformed datagrams, or a sender that was too slow."""
     wrong = []
     if result["datagrams_missing"]:
         wrong.append(f"{result['datagrams_missing']} datagrams missing")
@@ -216,7 +222,7 @@ def wrong_with_load(result: dict[str, Any]) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Receive, decide, judge."""
+    """Measure latency and load, and print the result. Returns 1 if something was wrong."""
     parser = plain_parser("network", __doc__)
     parser.add_argument(
         "--seconds",

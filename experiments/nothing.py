@@ -1,16 +1,18 @@
 """How often a model is confident where none of its classes is there.
 
-It sees noise, hot pixels, patches, edges and objects.
+The model sees windows of noise, hot pixels, patches, edges and other objects.
 
     python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER]
                                   [--cars N-CARS] [--json FILE] [--quick]
 
-Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows
-noise, events of one polarity, hot pixels, rectangular patches and straight edges to its networks;
-discs and corners, and other objects, only this command does. Here they are made by code of their
-own. Shares are of windows whose class has .9 at their ends, and of those in which one has .9 or .99
-at some moment, asked after every event. Of other objects, those in folders that are named as a
-class of the model are left out.
+The events of windows have the times of bundled recordings, and other places. `train` shows noise,
+events of one polarity, hot pixels, rectangular patches and straight edges to its networks, too.
+Discs, corners and other objects are shown by this command alone. The windows are made by code of
+their own, which `train` does not share. Recordings of other objects are left out if their folder
+has the name of a class of the model.
+
+The report has the share of windows that end with a class of probability .9. It also has the shares
+of windows in which a class has .9 or .99 at some moment; the model decides after every event.
 """
 
 from __future__ import annotations
@@ -29,16 +31,17 @@ from experiments.speed.moments import on_sensor
 from experiments.speed.timing import machine
 
 SURE = 0.9
-"""Confidence at which a window counts as decided."""
+"""Probability at which a window counts as decided."""
 
 SURER = 0.99
-"""Higher confidence that is asked for, too."""
+"""Higher probability, whose share of windows is reported, too."""
 
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]
 """x, y, p of each event; x and y may lie off the sensor."""
 
 
 def noise(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
+    """Events anywhere on the sensor. The arguments are explained at `KINDS`."""
     n = len(share)
     return rng.uniform(0, side, n), rng.uniform(0, side, n), rng.random(n) < 0.5
 
@@ -49,19 +52,21 @@ def one_polarity(share: np.ndarray, side: int, rng: np.random.Generator) -> Plac
 
 
 def pairs(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Each event is followed by one of the other sign at its pixel."""
+    """Noise in which each event is followed by an event of the other sign at its pixel."""
     x, y, p = noise(share[::2], side, rng)
     n = len(share)
     return x.repeat(2)[:n], y.repeat(2)[:n], np.stack([p, ~p], 1).ravel()[:n]
 
 
 def hot_pixels(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
+    """Events of three pixels."""
     n = len(share)
     places = rng.integers(0, side, (3, 2))[rng.integers(0, 3, n)]
     return places[:, 0], places[:, 1], rng.random(n) < rng.random()
 
 
 def patch(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
+    """Events all over a rectangle."""
     n = len(share)
     width, height = rng.uniform(0.15 * side, 0.45 * side, 2)
     x = rng.uniform(0, side - width) + width * rng.random(n)
@@ -84,6 +89,7 @@ def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
+    """Events of one polarity along a straight edge, which moves at right angles to itself."""
     n = len(share)
     angle = rng.uniform(0, 2 * np.pi)
     along = rng.uniform(-1, 1, n) * side
@@ -97,7 +103,7 @@ def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Two sides of a dark rectangle that moves: one is ON, the other OFF."""
+    """Events along two sides of a moving rectangle: ON along one side, OFF along the other."""
     n = len(share)
     turn = rng.uniform(0, np.pi / 2)
     along = rng.uniform(0, side, n)
@@ -120,11 +126,14 @@ KINDS: dict[str, Callable[[np.ndarray, int, np.random.Generator], Place]] = {
     "a flickering disc (tested only)": disc,
     "a corner (tested only)": corner,
 }
-"""What stands in a window -> what makes its events."""
+"""What stands in a window -> function that makes the places of its events.
+
+The function is called with the events' times as shares of the window, with the width of the sensor
+in pixels, and with a random generator."""
 
 
 def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, Any]:
-    """Share of windows decided with confidence, by what is in them."""
+    """The report: shares of windows that are decided with confidence, for each kind of window."""
     processor = Processor(load_model(model), start_us=0, every_events=1)
     config = processor.config
     rows = {}
@@ -147,7 +156,7 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
 def _of_kind(
     kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """The first window of a recording, with its events at the places that `kind` makes."""
+    """The first window of a recording, with its events moved to the places that `kind` makes."""
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
     x, y, p = kind(t / window_us, side, rng)
@@ -155,11 +164,16 @@ def _of_kind(
 
 
 def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterator[np.ndarray]:
-    """The first window of other recordings, scaled down to the sensor where they are larger."""
-    for file in files[:: max(1, len(files) // most)][:most]:
+    """The first windows of at most `most` recordings of other objects, spread over `files`.
+
+    Recordings that are larger than the sensor are scaled down.
+    """
+    step = max(1, len(files) // most)
+    for file in files[::step][:most]:
         events = open_recording(file).read()
         t = events["t"] - events["t"][0]
-        scale = max(1.0, (max(int(events["x"].max()), int(events["y"].max())) + 1) / side)
+        size = max(int(events["x"].max()), int(events["y"].max())) + 1
+        scale = max(1.0, size / side)
         in_window = t < window_us
         window = events[in_window]
         yield on_sensor(
@@ -168,6 +182,7 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
 
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
+    """Shares of windows with a confident decision, at the end and at some moment."""
     last = []
     highest = []
     for events in windows:
@@ -185,7 +200,7 @@ def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("nothing", __doc__, "ten windows of each kind")
     parser.add_argument(
         "--model", default="digits", metavar="NAME|FILE", help="a model (default: digits)"

@@ -2,9 +2,9 @@
 
     python -m experiments.pages [--check]
 
-A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`;
+A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`.
 RESULTS.md is written as a whole. `--check` changes nothing, and exits with 1 if a file differs from
-the results; a test does that, too.
+the results. A test makes the same check.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ SHORT = (
     thesis.unseen_motion,
     differences.thesis_answers,
 )
-"""What README and the page of results have of other tables."""
+"""Tables of README and of the page of results that RESULTS.md does not have."""
 
 TABLES = {
     make.__name__: make
     for make in (*SHORT, *(t for part in sections.SECTIONS for t in part.tables))
 }
-"""Name between the markers of a page -> what writes the table."""
+"""Name between the markers of a page -> function that writes the table."""
 
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table of a page, between its markers."""
 
 
 def written(page: str) -> str:
-    """A page with its tables written from the results.
+    """The text of a page, with its tables written from the results.
 
     Raises
     ------
@@ -57,7 +57,7 @@ PAGES: dict[str, Callable[[str], str]] = {
     "docs/results.md": written,
     "experiments/RESULTS.md": lambda before: sections.page(),
 }
-"""Path -> what is made of its present text."""
+"""Path of a page -> function that makes its new text of its present text."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,14 +1,19 @@
-"""Which volume `async-tnt train` takes by default: candidates on five data sets, held-out data.
+"""Which volume should `async-tnt train` take by default? Candidates on five data sets.
 
     python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS]
                                   [--characters FOLDER] [--sets NAME ...] [--candidates NAME ...]
                                   [--seeds N] [--out FOLDER] [--json FILE]
 
-No test part is read: N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of
-their training parts; HOTS' characters, of which there is one recording each, their last 35 ms;
-`sessions`, which is made here, a second session: another noise, other thresholds, other places and
-sizes. Finished trainings in --out are kept, interrupted ones resume, and what FILE has of other
-sets and candidates stays there.
+The answer is the accuracy on held-out data. No test part is read:
+
+- N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of their training parts.
+- HOTS' characters have one recording of each class. It is held out from its third window of 35 ms
+  on.
+- The set `sessions` is made here. It holds out a second session, with other noise, thresholds,
+  places and sizes.
+
+Finished trainings in --out are kept, and interrupted trainings resume. FILE keeps the entries of
+sets and candidates that this run does not measure.
 """
 
 from __future__ import annotations
@@ -48,7 +53,6 @@ from experiments.speed.timing import machine
 SPLIT = {"transform": "none", "polarity": "split"}
 """Settings that all candidates share."""
 
-
 CANDIDATES: dict[str, dict[str, Any]] = {
     "counts": {"representation": "count", "bins": 1, **SPLIT},
     "5 bins": {"representation": "volume", "bins": 5, **SPLIT},
@@ -56,16 +60,19 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "time surface": {"representation": "time_surface", "bins": 1, **SPLIT},
     "3 bins": {"representation": "volume", "bins": 3, **SPLIT},
 }
-"""Name -> fields of `TNTConfig`."""
+"""Name of a candidate -> fields of `TNTConfig`."""
 
 EPOCHS = {"cars": 10, "nmnist": 10}
-"""Set -> epochs for every candidate. Sets that are not named have those that are the default."""
+"""Set -> number of epochs for every candidate. Other sets have the default number."""
 
 
 def read(
     folder: Path, config: Any, *, part: str = "", sensor: tuple[int, int], validation: float = 0.2
 ) -> TrainingData:
-    """A folder of recordings, or `part` of it; the last `validation` of each class are held out."""
+    """The data of a folder of recordings, or of its subfolder `part`.
+
+    validation : share of each class that is held out: its last recordings.
+    """
     return dataset_data(
         folder / part,
         VolumeChoice(config, fitted=("grid", "window_us", "bins")),
@@ -76,14 +83,14 @@ def read(
 
 
 def characters(folder: Path, config: Any) -> TrainingData:
-    """Windows of 35 ms; the third one, and what follows, is held out."""
+    """The data of HOTS' characters, in windows of 35 ms. From the third on they are held out."""
     data = read(folder, config.replace(window_us=35_000), sensor=(32, 32), validation=0.0)
     late = data.training.start_us >= 2 * 35_000
     return replace(data, training=data.training[~late], validation=data.training[late])
 
 
 def sessions(folder: Path, config: Any) -> TrainingData:
-    """Windows of two made sessions: the first to learn from, the second is held out."""
+    """The data of two made sessions: the first is for training, the second is held out."""
     other_day = Session(threshold=0.28, mismatch=0.2, noise_hz=2.0, size=0.8, place=(6.0, -4.0))
     directions = tuple(np.pi / 4 * np.arange(8))
     parts = []
@@ -101,13 +108,13 @@ SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
     "characters": characters,
     "sessions": sessions,
 }
-"""Set -> what reads its folder."""
+"""Set -> function that reads its folder."""
 
 
 def measure(
     name: str, data: TrainingData, volume: Mapping[str, Any], seed: int, run_folder: Path
 ) -> dict[str, Any]:
-    """Held-out accuracy of one candidate on one set."""
+    """Held-out accuracies of one candidate on one set, and the size of the network."""
     config = data.config.replace(**volume)
     settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed)
     fitted = fit(replace(data, config=config), settings, run_folder, progress=progress)
@@ -124,7 +131,7 @@ def measure(
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, print and write."""
+    """Train the candidates, print the tables, and write the report."""
     parser = plain_parser("recipes", __doc__)
     for name in SETS:
         if name != "sessions":
@@ -160,7 +167,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _measure_set(name: str, args: argparse.Namespace, report: dict[str, Any]) -> None:
-    """Measure the candidates that the report does not have yet; writes it after each."""
+    """Measure the candidates that the report does not have yet. Writes the report after each."""
     folder = args.out / "sessions" if name == "sessions" else getattr(args, name)
     if folder is None:
         raise FileNotFoundError(f"no folder of {name}: give --{name}")

@@ -1,12 +1,14 @@
-"""A digest of volumes and logits on the bundled recordings: the same on every processor.
+"""Digests of volumes and logits on the bundled recordings, which every processor should have.
 
     python -m experiments.same_bits [--json experiments/results/same_bits.json] [--check]
 
-For each landmark that needs no network, each polarity and each image, the volumes of the bundled
-recordings' windows at several prefixes; for each bundled model, its logits. --check compares with
-the recorded digest, and exits with 1 where it differs. Kernels say in which order they add, so that
-the length of a processor's vectors does not matter. Compared so far: x86-64 with AVX2 and with
-AVX-512, and arm64 under emulation.
+One digest is of volumes: of the first window of each recording after several numbers of events, for
+each landmark that needs no network, each polarity and each image. Each bundled model has a digest
+of its logits. --check compares the digests with the recorded digests, and exits with 1 if one
+differs.
+
+Kernels state the order in which they add, so the length of a processor's vectors does not matter.
+Compared so far are x86-64 with AVX2 and with AVX-512, and arm64 under emulation.
 """
 
 from __future__ import annotations
@@ -25,10 +27,10 @@ from experiments.scripts.options import add_json, exit_with, plain_parser, write
 from experiments.tables.parts import results
 
 PREFIXES = (1, 10, 100, 1_000, 100_000)
-"""Numbers of events after which a volume is looked at."""
+"""Numbers of events after which a volume is read."""
 
 WINDOW_US = 105_000
-"""Length of a window."""
+"""Length of a window, in microseconds."""
 
 
 def configs() -> Iterator[TNTConfig]:
@@ -46,7 +48,7 @@ def configs() -> Iterator[TNTConfig]:
 
 
 def digests() -> dict[str, str]:
-    """Digests of all volumes, and of the logits of each bundled model."""
+    """Name -> digest: `volumes` for all volumes, the name of each bundled model for its logits."""
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     volumes = hashlib.sha256()
     for config in configs():
@@ -72,7 +74,7 @@ def digests() -> dict[str, str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print, write or compare. Returns 1 if a digest differs from the recorded one."""
+    """Print the digests, and write or compare them. Returns 1 if --check finds a difference."""
     parser = plain_parser("same_bits", __doc__)
     add_json(parser)
     parser.add_argument(

@@ -15,8 +15,8 @@ from experiments.motions.simulated_digits import simulate_digit
 from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 FIRST_SAMPLE = 2_000
-"""Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings
-show."""
+"""Index of the first MNIST training image for samples. N-MNIST's first recordings show earlier
+images."""
 
 
 def sample_indices(labels: np.ndarray) -> dict[int, int]:
@@ -38,7 +38,7 @@ def sample_indices(labels: np.ndarray) -> dict[int, int]:
 
 
 def write_samples(mnist_folder: Path, out_folder: Path) -> list[Path]:
-    """Simulate and write `<out_folder>/<digit>.bin` for the ten digits; returns their paths.
+    """Simulate and write `<out_folder>/<digit>.bin` for the ten digits, and return the paths.
 
     Each digit has its own random generator, seeded by (0, digit).
 
@@ -59,7 +59,7 @@ def write_samples(mnist_folder: Path, out_folder: Path) -> list[Path]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Simulate and write them."""
+    """Simulate and write the samples."""
     parser = plain_parser("samples", __doc__)
     add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="for <digit>.bin")

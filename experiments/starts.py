@@ -2,8 +2,8 @@
 
     python -m experiments.starts [--quick] [--json FILE]
 
-Ours starts with an empty and with a full cache of compiled code. It is compared with onnxruntime
-and torch where they are installed.
+Our program starts with an empty and with a full cache of compiled code. It is compared with
+programs of onnxruntime and torch, if these are installed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MODEL = "digits"
 """The model that decides."""
 
 ROUNDS = 5
-"""Processes of each way."""
+"""Number of processes of each way."""
 
 PACKAGES = ("torch", "onnx", "onnxruntime")
 """Packages whose versions the report names."""
@@ -56,7 +56,7 @@ processor.push_one(1000, 1, 1, 1)
 processor.fire()
 step("decision")
 """
-"""Program of the two rows of ours, inside of `_AROUND`."""
+"""Program of `ours_cold` and `ours_warm`, which `_AROUND` holds."""
 
 _ONNXRUNTIME = """
 import numpy as np
@@ -73,7 +73,7 @@ step("load")
 session.run(["logits"], {"volume": np.zeros(arguments["shape"], np.float32)})
 step("decision")
 """
-"""Program of onnxruntime."""
+"""Program of onnxruntime, which `_AROUND` holds."""
 
 _TORCH = """
 import torch
@@ -92,7 +92,7 @@ with torch.inference_mode():
     network(torch.zeros(arguments["shape"])).argmax()
 step("decision")
 """
-"""Program of torch."""
+"""Program of torch, which `_AROUND` holds."""
 
 _AROUND = """
 import json, sys, time
@@ -107,21 +107,24 @@ def step(name):
 {body}
 print(json.dumps(seconds))
 """
-"""Program around these: prints the seconds of each step as JSON."""
+"""Program that holds one of the programs above and prints the seconds of its steps as JSON."""
 
 
 def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
-    """Time how long programs take to start.
+    """Times that programs take to start.
 
-    Each round has one process of each row. The cold one has a cache folder of its own.
+    Each round has one process of each row. A first round, which fills the system's file cache, is
+    not counted.
 
-    A first round, which fills the system's file cache, is discarded. Without `cold` nothing is
-    compiled: `ours_warm` takes the cache as this process has it.
+    Parameters
+    ----------
+    cold : whether the row `ours_cold` is measured, with a new cache folder in each round. If not,
+        nothing is compiled, and `ours_warm` uses the cache of this process.
 
     Returns
     -------
-    dict : row of `WORK` -> seconds of each step and of the whole process (`process`, Python's own
-        start and end included), each a `spread`. Rows whose packages are missing are left out.
+    dict : row of `WORK` -> step -> `spread` of its seconds. The step `process` is the whole process
+        with Python's own start and end. Rows whose packages are missing are left out.
     """
     rows = [name for name in WORK if name not in left_out(cold)]
     seconds: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
@@ -152,7 +155,7 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
 
 
 def left_out(cold: bool) -> dict[str, str]:
-    """The rows of `WORK` that are not available, and why."""
+    """Row of `WORK` that is not measured -> the reason."""
     quick = {} if cold else {"ours_cold": "compiling takes too long for a quick look"}
     return quick | backends.left_out(NEEDS)
 
@@ -169,7 +172,7 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
         cache.mkdir(exist_ok=True)
         settings["NUMBA_CACHE_DIR"] = str(cache)
     environment = os.environ | settings
-    # an installed package has its bytecode
+    # Python may write bytecode, because an installed package has bytecode, too
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, "-c", _AROUND.format(body=body), json.dumps(arguments)]
     started = time.perf_counter()
@@ -182,7 +185,7 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Measure all starts, and return one JSON object."""
+    """The report of all starts, as one JSON object."""
     model = load_model(MODEL)
     rounds = 1 if quick else ROUNDS
     warmup(model)
@@ -197,7 +200,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("starts", __doc__, "one round, nothing compiled")
     return run_script(parser, argv, measure, "starts")
 

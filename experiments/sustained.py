@@ -1,15 +1,16 @@
-"""What this machine sustains with a model.
-
-This is told in events a second, in delays under load, and in what becomes of too many events.
+"""How many events a second this machine sustains with a model, and how late decisions are.
 
     python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20]
                                     [--picture FILE]
 
-First the processor time of a stream by its rate, in packets of a millisecond, with a decision after
-every few events; the sustained rate is where that takes one core. Then streams come in real time,
-at shares of that rate, through `KeepUp`, and each packet's delay is measured from the moment it was
-due to the end of its decisions. `max_delay_us` bounds a packet's age as it is handed out; above the
-sustained rate decisions become rarer, and packets are skipped.
+First the processor time of streams is measured at several rates, in packets of a millisecond, with
+a decision after every few events. The sustained rate is the rate at which a stream would take one
+core.
+
+Then streams come in real time through `KeepUp`, at a tenth to ten times the sustained rate. The
+delay of a packet is the time from the moment when it was due to the end of its decisions.
+`max_delay_us` limits the age of a packet when `KeepUp` hands it out. Above the sustained rate,
+decisions become rarer, and packets are skipped.
 """
 
 from __future__ import annotations
@@ -32,26 +33,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATES = (10_000, 20_000, 50_000, 100_000)
-"""Rates, in events a second, at which the share of a core is measured; the first one also warms
-up."""
+"""Rates, in events a second, at which the share of a core is measured. A first stream at the first
+rate is not counted, because it warms up."""
 
 LOADS = (0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 10.0)
-"""Rates of the streams, divided by the rate that takes a core."""
+"""Rates of the streams in real time, divided by the sustained rate."""
 
 PERCENTILES = (50.0, 99.0, 99.9)
 """Percentiles of the delays in the report."""
 
 PACKET_US = 1_000
-"""Time that a packet covers."""
+"""Time that a packet covers, in microseconds."""
 
 MAX_DELAY_US = 50_000
-"""Delay from which on `KeepUp` skips events."""
+"""Largest age of a packet when `KeepUp` hands it out, in microseconds. Older ones are skipped."""
 
 
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
-    """Packets of a millisecond, made of a bundled recording's events, which are repeated.
+    """Packets of a millisecond, whose places are those of a bundled recording, repeated.
 
-    Each packet is in new memory. Packets come in real time since `started`, or at once.
+    Each packet is in new memory. Packets come in real time from `started` on, or at once if it is
+    None.
     """
     events = open_recording(sample_recordings()[3]).read()
     n = max(1, round(rate * PACKET_US * 1e-6))
@@ -68,7 +70,7 @@ def packets(rate: float, seconds: float, started: float | None = None) -> Iterat
 
 
 def due_s(started: float, packet: np.ndarray) -> float:
-    """When a packet is complete, by the clock that showed `started` as its stream began."""
+    """The time at which a packet is complete, by the clock that showed `started` at the start."""
     return started + (int(packet["t"][0]) // PACKET_US + 1) * PACKET_US * 1e-6
 
 
@@ -83,7 +85,7 @@ def share_of_core(processor: Processor, rate: float, seconds: float) -> float:
 
 
 def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, Any]:
-    """A stream in real time: delays in milliseconds, what was decided, and what was skipped."""
+    """The report of a stream in real time: delays, and counts of what was decided and skipped."""
     processor.reset()
     delays_us = []
     n_decisions = 0
@@ -113,13 +115,14 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
 def measure(
     name: str, every_events: int, seconds: float, loads: tuple[float, ...]
 ) -> dict[str, Any]:
-    """Measure the sustained rate, and streams at each load of it."""
+    """The report: the sustained rate, and a stream in real time at each load."""
     model = load_model(name)
     warmup(model)
     processor = Processor(model, every_events=every_events)
-    # The first call warms the processor up.
+    # this stream warms the processor up
     share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
+    # a line through the shares: seconds of an event, and share of a core without events
     an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))
     sustained = (1.0 - at_rest) / an_event
     streams = {f"{load:g}": under_load(processor, load * sustained, seconds) for load in loads}
@@ -137,7 +140,7 @@ def measure(
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """Delays by load."""
+    """Draw percentiles of the delays against the load."""
     figure = new_figure(3.4, 6.0)
     axes = axes_at(figure, 0.8, 0.8, 4.9, 2.0)
     loads = list(map(float, report["streams"]))
@@ -154,7 +157,7 @@ def draw(report: dict[str, Any]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write what is asked for."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("sustained", __doc__, "a second for each of two loads", draws=True)
     parser.add_argument(
         "--model", default="digits", help="bundled, or a file (default: %(default)s)"

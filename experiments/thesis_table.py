@@ -67,13 +67,13 @@ examples:
 """
 
 SMOKE_ITERATIONS = 30
-"""Most steps of a network with --smoke."""
+"""Largest number of steps of a network with --smoke."""
 
 SMOKE_IMAGES = 20
-"""Most images to simulate with --smoke."""
+"""Largest number of images to simulate with --smoke."""
 
 SMOKE_PER_DIGIT = 8
-"""Recordings of each digit with --smoke."""
+"""Number of recordings of each digit with --smoke."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -169,7 +169,7 @@ def _add_results(group: argparse._ArgumentGroup) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train, test, compare, and write. Returns the exit code 0."""
+    """Train, test and compare the networks, and write the results. Returns the exit code 0."""
     args = _parsed(argv)
     seeds = list(dict.fromkeys(args.seeds))
     runs = runs_of(args.rows or GROUPS, args.trained_on, seeds)
@@ -187,7 +187,7 @@ def main(argv: list[str] | None = None) -> int:
 
     check_folder(args.out, ("results.json", "table.md"))
     if args.into is not None:
-        # a wrong file shows now
+        # a wrong file is refused now, not after hours of training
         read_json(args.into)
     record, seconds = _measured(runs, args)
     _write(record, args)
@@ -199,7 +199,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parsed(argv: list[str] | None) -> argparse.Namespace:
-    """The options, with what --smoke changes."""
+    """The options of the command, with what --smoke changes."""
     parser = plain_parser("thesis_table", DESCRIPTION, EPILOG)
     add_arguments(parser)
     args = parser.parse_args(argv)
@@ -213,14 +213,14 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
 
 
 def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any], float]:
-    """Train and test the networks; returns the record, and the seconds that it took."""
+    """The record of the trained and tested networks, and the seconds that they took."""
     import torch
 
     from experiments.thesis.data import RealFolder, make_set
     from experiments.thesis.record import record_of
     from experiments.thesis.runs import right_of, run_networks
 
-    # a missing or damaged file shows before anything is trained
+    # a missing or damaged file is refused before anything is trained
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     if args.smoke:
         real = RealFolder(nmnist, validation=0.25, per_digit=SMOKE_PER_DIGIT)
@@ -279,16 +279,16 @@ def _tables(record: dict[str, Any]) -> str:
 
 
 def _listed(runs: list[Run], iterations: int | None) -> list[str]:
-    """A list of the networks, a line for each row.
+    """Lines that list the networks, a line for each row.
 
-    It says what the row is trained on, with how many seeds, and for how many steps.
+    A line tells what the row is trained on, with how many seeds, and for how many steps.
     """
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
         row = ROWS[name]
-        of = [run for run in runs if run.row == name]
-        on = ", ".join(dict.fromkeys(run.trained_on for run in of))
-        seeds = len({run.seed for run in of})
+        of_row = [run for run in runs if run.row == name]
+        on = ", ".join(dict.fromkeys(run.trained_on for run in of_row))
+        seeds = len({run.seed for run in of_row})
         steps = f"{iterations or row.iterations:,} steps"
         lines.append(
             f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}"
@@ -297,7 +297,7 @@ def _listed(runs: list[Run], iterations: int | None) -> list[str]:
 
 
 def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
-    """What the printed tables show, and where the results are."""
+    """Lines on what the printed tables show, and on where the results are."""
     data = record["data"]
     n_seeds = len(record["seeds"])
     fewer = []

@@ -1,12 +1,14 @@
-"""Two streams in two threads of one process: how much faster than one after the other.
+"""How much faster two streams are in two threads of one process than one after the other.
 
     python -m experiments.threads [--quick] [--json FILE]
 
-Each thread has its own volume or Processor and its own packets of random events on the sensor of
-`digits`, a million a second. By the wall clock, both ways interleaved, so that only a quiet machine
-tells; each for a tenth of a second and more, as the system starts both threads on one core and
-needs tens of milliseconds until it gives them one each. A thread that finds Python's lock taken
-sleeps, and is woken: how long that takes is measured, too.
+Each thread has its own volume or Processor, and its own packets of random events on the sensor of
+`digits`, a million a second. Both ways take turns. They are timed by the wall clock, so the machine
+must be quiet. Each takes a tenth of a second or more: the system starts both threads on one core,
+and needs tens of milliseconds until each has a core of its own.
+
+A thread that finds Python's lock taken sleeps until it is woken. The time to wake it is measured,
+too.
 """
 
 from __future__ import annotations
@@ -29,26 +31,26 @@ MODEL = "digits"
 """The model that decides."""
 
 PACKETS = (100, 1_000, 10_000, 400_000)
-"""Events of a packet."""
+"""Numbers of events of a packet that are compared."""
 
 N_EVENTS = 400_000
-"""Events of a stream."""
+"""Number of events of a stream."""
 
 PASSES = 50
-"""How often a stream is pushed in one work."""
+"""Number of times that a work pushes its stream."""
 
 ROUNDS = 9
-"""How often each work is timed."""
+"""Number of times that each work is timed."""
 
 Work = Callable[[], object]
-"""What one thread does."""
+"""A function that does the work of one thread."""
 
 
 def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[str, Work]:
-    """The work of one stream, in three forms.
+    """Name -> the work of one stream.
 
-    It is a volume alone, a stream with decisions at the ends of windows, and one with a
-    decision every millisecond.
+    The works are those of a volume alone, of a Processor with decisions at the ends of windows, and
+    of a Processor with a decision every millisecond.
     """
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
     takers: dict[str, Any] = {
@@ -97,9 +99,9 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
 
 
 def wake_us(n: int = 2_000) -> float:
-    """Median microseconds until a thread that waits for a lock runs on.
+    """The median of the microseconds from the release of a lock until a waiting thread runs on.
 
-    This is what it costs to wait for Python's lock.
+    A thread that waits for Python's lock loses this time.
     """
     there = threading.Lock()
     back = threading.Lock()
@@ -120,7 +122,7 @@ def wake_us(n: int = 2_000) -> float:
         back.acquire()
         took.append(time.perf_counter() - started)
     other.join()
-    return float(np.median(took)) / 2 * 1e6
+    return float(np.median(took)) / 2 * 1e6  # a round wakes two threads
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -142,7 +144,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("threads", __doc__, "few events")
     return run_script(parser, argv, measure, "threads")
 

@@ -3,17 +3,20 @@
     python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST]
                                          [--mnist MNIST] [--json FILE]
 
-hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128,
-           made by a renderer and pixels of their own (`objects/hands.py`); also tested in a second
-           session
-saccades   N-MNIST's digits with a fifth of their events (`digit_data/thinned_saccades.py`)
-volumes    the same, re-synthesized, with different volumes
-whole      all recordings of N-MNIST with all of their events, the first saccade re-synthesized;
-           also tested in the 30 constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no
-           training recording shows)
+The sets are:
 
-All training recordings move in one direction, to the right or as in the first saccade; they are
-tested in that and in others, and compared with training in all. The commands differ by one option:
+hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128,
+           made by a renderer and pixels of their own (`objects/hands.py`). They are also tested in
+           a second session.
+saccades   N-MNIST's digits with a fifth of their events (`digit_data/thinned_saccades.py`)
+volumes    the digits of `saccades`, trained with re-synthesis and with several volumes
+whole      all recordings of N-MNIST with all of their events, trained with re-synthesis. They are
+           also tested in the 30 constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no
+           training recording shows).
+
+All training recordings move in one direction, to the right or as in the first saccade. The networks
+are tested in this motion and in others, and are compared with networks that are trained in all
+directions. The commands with and without re-synthesis differ by one option:
 
     async-tnt train OBJECTS --sensor WxH --window-us US
     async-tnt train OBJECTS --sensor WxH --window-us US --motions resynthesized
@@ -67,7 +70,7 @@ OF_NMNIST = ("saccades", "volumes", "whole")
 """Sets that are made of N-MNIST."""
 
 N_IMAGES = 3_000
-"""Images that are simulated in other motions."""
+"""Number of images that are simulated in other motions."""
 
 SETS = ("hands", *OF_NMNIST)
 """Names of the sets."""
@@ -93,16 +96,20 @@ VOLUMES = {
 
 @dataclass(frozen=True)
 class MadeSet:
-    """Made data, and what it is trained and tested on.
+    """A set: how its recordings are made, and which of them are for training and for tests.
 
     Parameters
     ----------
-    write : called with folder, number of recordings of each class, directions, and seed.
-    n_train, n_test : recordings of each class; None: all.
-    modes : name -> directions to train on, and options of `train`.
-    tests : name -> directions and how they are written.
-    simulated : called with models, a folder and a number of images; gives the accuracy of each
-        model in simulated motions. None: not asked.
+    classes : names of the classes.
+    sensor : width and height of the sensor, in pixels.
+    window_us : length of a window, in microseconds.
+    write : function that writes training recordings. It is called with folder, number of recordings
+        of each class, directions, and seed.
+    n_train, n_test : numbers of recordings of each class; None: all.
+    modes : name of a way to train -> directions of the recordings, and options of `train`.
+    tests : name of a test -> directions of the recordings, and function that writes them.
+    simulated : function that is called with models, a folder and a number of images, and gives the
+        accuracy of each model in simulated motions. None: there is no such test.
     """
 
     classes: tuple[str, ...]
@@ -117,7 +124,10 @@ class MadeSet:
 
 
 def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
-    """The sets; those of saccades need the folder of N-MNIST, `whole` also that of MNIST."""
+    """Name -> set. Without the folder of N-MNIST, there are no sets that are made of it.
+
+    mnist : MNIST, which the test of `whole` in simulated motions needs.
+    """
     hand = partial(hands.write, session=hands.SESSIONS[0])
     other_hand = partial(hands.write, session=hands.SESSIONS[1])
     made = {
@@ -176,6 +186,11 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
 def _modes(
     recorded: tuple[float, ...], every: tuple[float, ...], options: tuple[str, ...] = ()
 ) -> dict[str, tuple[tuple[float, ...], tuple[str, ...]]]:
+    """Three ways to train: on the recorded directions, re-synthesized, and on all directions.
+
+    every : all directions.
+    options : options of `train` for all three.
+    """
     return {
         "recorded": (recorded, options),
         "resynthesized": (recorded, (*MOVED, *options)),
@@ -184,20 +199,30 @@ def _modes(
 
 
 def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Accuracy of each way to train, in each test."""
+    """The report of a set, with the accuracy of each way to train in each test.
+
+    extra : options of `train` for all networks.
+    """
     results: dict[str, list[dict[str, float]]] = {mode: [] for mode in made.modes}
     records = []
     with progress(len(made.modes) * seeds, "training") as bar:
         for seed in range(seeds):
-            first = (len(made.tests) + 2) * seed
+            # random seeds of three kinds of data: training in one direction, in all, and tests
+            one_seed = (len(made.tests) + 2) * seed
+            all_seed = one_seed + 1
+            first_test_seed = one_seed + 2
             tests = {
-                name: write(out / f"test{k}-{seed}", made.n_test, directions, first + 2 + k)
+                name: write(out / f"test{k}-{seed}", made.n_test, directions, first_test_seed + k)
                 for k, (name, (directions, write)) in enumerate(made.tests.items())
             }
             for mode, (directions, options) in made.modes.items():
-                is_one = len(directions) == 1
-                objects = out / f"{'one' if is_one else 'all'}-{seed}"
-                made.write(objects, made.n_train, directions, first + (not is_one))
+                if len(directions) == 1:
+                    objects = out / f"one-{seed}"
+                    data_seed = one_seed
+                else:
+                    objects = out / f"all-{seed}"
+                    data_seed = all_seed
+                made.write(objects, made.n_train, directions, data_seed)
                 model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
                 words = ["--sensor", format_size(made.sensor), "--window-us", made.window_us]
                 words += [*options, "--seed", seed, "--out", model, "--json", *extra]
@@ -215,20 +240,21 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
             for row, right in zip(rows, shares, strict=True):
                 row["simulated motions"] = right
 
+    accuracy: dict[str, dict[str, Any]] = {}
+    for mode, rows in results.items():
+        accuracy[mode] = {
+            test: {"mean": float(np.mean(values)), "seeds": values}
+            for test, values in _columns(rows).items()
+        }
+    n_classes = len(made.classes)
     return {
         "classes": made.classes,
         "recordings": {
-            "training": made.n_train and made.n_train * len(made.classes),
-            "test, each": made.n_test and made.n_test * len(made.classes),
+            "training": None if made.n_train is None else made.n_train * n_classes,
+            "test, each": None if made.n_test is None else made.n_test * n_classes,
         },
         "seeds": list(range(seeds)),
-        "accuracy": {
-            mode: {
-                test: {"mean": float(np.mean(values)), "seeds": values}
-                for test, values in _columns(rows).items()
-            }
-            for mode, rows in results.items()
-        },
+        "accuracy": accuracy,
         "motions": [record for record in records if record],
         "machine": machine("torch"),
     }
@@ -237,7 +263,7 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
 def _in_simulated_motions(
     models: list[Path], folder: Path, n_images: int, *, nmnist: Path, mnist: Path
 ) -> list[float]:
-    """Accuracy of each model over the windows of *sim*."""
+    """The accuracy of each model over the windows of the simulated set *sim*."""
     made = make_set("sim", mnist, folder, RealFolder(nmnist).read(), n_images, available_cores())
     pipelines = [pipeline_of(load_model(path)) for path in models]
     right: list[list[np.ndarray]] = [[] for _ in models]
@@ -248,11 +274,12 @@ def _in_simulated_motions(
 
 
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
+    """Test -> its accuracy in each row."""
     return {test: [row[test] for row in rows] for test in rows[0]}
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print and write."""
+    """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
     parser.add_argument("--set", choices=SETS, default="hands", help="default: hands")
     add_count(parser, "--seeds", 5, "data and networks")

@@ -2,9 +2,9 @@
 
     python -m experiments.volumes [--quick] [--json FILE]
 
-Events are random, seeded. Each way feeds one window, all ways in turns, on one thread. Opening a
-window is not timed, except for whole windows of 400,000 events on 1280 x 720, which are opened,
-filled and read.
+Events are random, with a fixed seed. Each way of giving events to a volume fills one window. All
+ways take turns, on one thread. The opening of a window is not timed, except for whole windows of
+400,000 events on 1280 x 720, which are opened, filled and read.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from experiments.speed.moments import made_columns
 from experiments.speed.timing import interleave, machine, spread, work_clock
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
-"""Width and height of the sensors, each also the grid of its volume."""
+"""Width and height of the sensors. The grid of each volume has the same size."""
 
 PACKETS = (10, 100, 1300)
-"""Events of a packet."""
+"""Numbers of events of a packet."""
 
 CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
-"""How camera drivers commonly pack an event: 14 bytes, t not aligned."""
+"""Layout of an event that is common among camera drivers: 14 bytes, with t not aligned."""
 
 N_WHOLE = 400_000
-"""Events of the window on the largest sensor that is opened, filled and read."""
+"""Number of events of the window on the largest sensor that is opened, filled and read."""
 
 N_EVENTS = (26_000, 13_000)
-"""Events of a window, in full and with --quick: whole packets of every size."""
+"""Numbers of events of a window, in full and with --quick. Both are whole packets of every size."""
 
 ROUNDS = (31, 5)
-"""Rounds, in full and with --quick: many short ones."""
+"""Numbers of rounds, in full and with --quick. There are many, because a round is short."""
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Measure all sensors, and return one JSON object."""
+    """The report of all sensors, as one JSON object."""
     rng = np.random.default_rng(0)
     rounds = ROUNDS[quick]
     found = []
@@ -59,11 +59,11 @@ def measure(quick: bool) -> dict[str, Any]:
 def bench_volume(
     grid: tuple[int, int], rng: np.random.Generator, *, n_events: int, rounds: int
 ) -> dict[str, Any]:
-    """Time one window of `n_events` events, fed in every way.
+    """The report of one sensor: a window of `n_events` events, given to the volume in every way.
 
     Returns
     -------
-    dict : the settings; `ns_per_event`, way -> `spread`.
+    dict : the settings, and `ns_per_event`: way -> `spread` of the nanoseconds per event.
     """
     config = TNTConfig(sensor=grid, grid=grid, landmark="running")
     columns = made_columns(rng, grid, n_events, config.window_us)
@@ -86,9 +86,9 @@ def bench_volume(
 
 
 def whole_windows(rng: np.random.Generator, n_events: int, rounds: int) -> dict[str, Any]:
-    """Time a window on the largest sensor.
+    """The nanoseconds per event of whole windows on the largest sensor.
 
-    It is opened, filled by packets of 1,300 events, and read once at its end.
+    A window is opened, filled by packets of 1,300 events, and read once at its end.
     """
     config = TNTConfig(sensor=GRIDS[-1], grid=GRIDS[-1], landmark="running")
     packets = _column_packets(made_columns(rng, GRIDS[-1], n_events, config.window_us), PACKETS[-1])
@@ -106,13 +106,16 @@ def whole_windows(rng: np.random.Generator, n_events: int, rounds: int) -> dict[
 
 
 def _singles(volume: TNTVolume, columns: Sequence[np.ndarray]) -> Callable[[], float]:
-    """Nanoseconds per event, one event after the other; opening the window is not timed."""
+    """A function that gives one event after the other, and returns the nanoseconds per event.
+
+    The opening of the window is not timed.
+    """
     rows = list(zip(*(column.tolist() for column in columns), strict=True))
 
     def run() -> float:
         volume.open(0)
         started = work_clock()
-        # the loop itself, some 20 ns, is in the figure: a user has it, too
+        # the time includes that of the loop itself, some 20 ns, because a user has it, too
         for t, x, y, p in rows:
             volume.update_one(t, x, y, p)
         return 1e9 * (work_clock() - started) / len(rows)
@@ -121,7 +124,10 @@ def _singles(volume: TNTVolume, columns: Sequence[np.ndarray]) -> Callable[[], f
 
 
 def _packets(volume: TNTVolume, packets: Sequence[Any], n_events: int) -> Callable[[], float]:
-    """Nanoseconds per event, one packet after the other; opening the window is not timed."""
+    """A function that gives one packet after the other, and returns the nanoseconds per event.
+
+    The opening of the window is not timed.
+    """
 
     def run() -> float:
         volume.open(0)
@@ -134,11 +140,13 @@ def _packets(volume: TNTVolume, packets: Sequence[Any], n_events: int) -> Callab
 
 
 def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
+    """Packets of `size` events, as structured arrays of `CAMERA_DTYPE`."""
     events = structured(columns, dtype=CAMERA_DTYPE)
     return [events[first : first + size].copy() for first in range(0, len(events), size)]
 
 
 def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np.ndarray, ...]]:
+    """Packets of `size` events, as tuples of columns."""
     n = len(columns[0])
     return [
         tuple(column[first : first + size] for column in columns) for first in range(0, n, size)
@@ -146,7 +154,7 @@ def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure, print, and write JSON if asked."""
+    """Measure the report, print its tables, and write JSON if asked."""
     return run_script(
         script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, "bench"
     )

@@ -52,7 +52,9 @@ def load_mnist(folder: str | os.PathLike[str], split: str) -> tuple[np.ndarray, 
 
 
 def _read(folder: Path, name: str) -> tuple[Path, np.ndarray]:
-    path = next((path for path in (folder / f"{name}.gz", folder / name) if path.exists()), None)
+    """The path of an IDX file, gzipped or not, and the array in it."""
+    candidates = (folder / f"{name}.gz", folder / name)
+    path = next((path for path in candidates if path.exists()), None)
     if path is None:
         raise FileNotFoundError(
             f"{folder}: has neither {name}.gz nor {name}; expected MNIST's IDX files there"

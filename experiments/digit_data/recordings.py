@@ -1,4 +1,4 @@
-"""Recordings of digits to train on, from N-MNIST and simulated, and the windows of `digits`."""
+"""Recordings of digits, real ones of N-MNIST and simulated ones, and the windows of `digits`."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ DURATION_US = 3 * SACCADE_US
 """Duration of an N-MNIST recording, in microseconds; its few later events are left out."""
 
 FIRST_INDEX = 5_000
-"""Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000,
-some of which are held out for validation; the bundled samples show images 2,000 to 2,100."""
+"""Index of the first MNIST image that is simulated. Earlier images are shown elsewhere: N-MNIST's
+recordings 1 to 1,000, some of which are held out for validation, show the first 1,000 images, and
+the bundled samples show images 2,000 to 2,100."""
 
 
 def read_nmnist_folder(
@@ -75,9 +76,8 @@ def simulate_recordings(
 ) -> Recordings:
     """Simulate `n` recordings of different MNIST training images.
 
-    The images are drawn from index `FIRST_INDEX` on.
-
-    Each has its own random generator, seeded by (seed, index of the image).
+    The images are drawn from index `FIRST_INDEX` on. Each recording has its own random generator,
+    seeded by (seed, index of the image).
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def recording_numbers(names: Iterable[str]) -> list[int]:
 
 
 def saccade(windows: Windows) -> np.ndarray:
-    """The saccade of its N-MNIST recording in which each window starts: 0, 1 or 2."""
+    """The number of the saccade, 0, 1 or 2, in which each window of N-MNIST starts; shape (N,)."""
     return windows.start_us // SACCADE_US
 
 
@@ -123,7 +123,7 @@ def split_recordings(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Hold out a share of each class's recordings, drawn at random.
 
-    Whole recordings: the three saccades of one digit are never on both sides.
+    Recordings are held out whole, so the three saccades of one digit are never on both sides.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def digits_data(
     seed: int = 0,
     progress: Callable[..., Bar],
 ) -> TrainingData:
-    """N-MNIST's Train and Test, and simulated recordings of MNIST to train on.
+    """The data of `digits`: windows of N-MNIST's Train and Test, and of simulated recordings.
 
-    A tenth of Train's recordings is held out.
+    A tenth of Train's recordings is held out. All simulated recordings are for training.
 
     Parameters
     ----------
@@ -165,6 +165,7 @@ def digits_data(
     recordings = read_nmnist_folder(folder / "Train", progress=progress)
     n_real = len(recordings)
     learned, held_out = split_recordings(recordings, 0.1, np.random.default_rng(seed))
+    # Recording n shows image n - 1. Images of held-out recordings are not simulated.
     unseen = [n - 1 for n in recording_numbers(recordings.names[i] for i in held_out)]
     recordings += simulate_recordings(mnist, simulated, seed, leave_out=unseen, progress=progress)
     learned = np.concatenate([learned, np.arange(n_real, len(recordings))])

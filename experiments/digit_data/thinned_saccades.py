@@ -1,9 +1,8 @@
 """Windows of N-MNIST, one saccade each.
 
-They have all of their events, or a fifth of them, which is as few as hands give.
-
-N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about
-two.
+A window has all of its events, or a fifth of them. In a saccade of N-MNIST, a pixel with events has
+five of them on average. In a recording of an object that a hand moves, it has about two. So windows
+with a fifth of the events are like recordings of hand motion.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ def write(
 
     Parameters
     ----------
-    n : recordings of each digit; each gives one window, of one of `saccades` in turn. None: all
-        recordings, and each gives a window of every one of `saccades`.
+    n : number of recordings of each digit. Each of them gives one window; the windows take the
+        `saccades` in turn. With None, all recordings give a window of each of `saccades`.
     source : N-MNIST's Train or Test, with `<digit>/*.bin`.
     share : share of the events that is kept.
     """
@@ -46,7 +45,8 @@ def write(
             raise ValueError(
                 f"{source / digit} must hold at least {n or 1} recordings, got {len(files)}"
             )
-        # drawn also where all are shown: the numbers that follow depend on it
+        # The order is drawn even if all recordings are shown, because later random numbers depend
+        # on it.
         drawn = rng.permutation(len(files))[:n]
         if n is None:
             shown = [(k, saccade) for saccade in saccades for k in range(len(files))]

@@ -1,16 +1,19 @@
 """The motions of N-MOVING-MNIST: 10 directions x 3 distances, the same for every digit.
 
-The thesis has 30 motions, in one place "30 motion directions", and names neither directions nor
-magnitudes. Ours are directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards: y grows
-downwards) and distances of 3, 5 and 8 pixels in one window of 105 ms, 29 to 76 px/s. N-MNIST's own
-saccades cover about 5 px in such a window. Each motion is a straight line through the centre at
-half time, so the mean position of a digit is the same for all motions, and a network cannot tell
-them apart by it. As these start at different places, TNT about the image centre does not turn them
-into translations of each other (Proposition 2 asks for motions from one place). Motions from the
-centre have one start; the thesis seems to have used such motions, of constant velocity.
+The thesis has 30 motions (in one place, "30 motion directions"), and names neither their directions
+nor their distances. Ours have directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards)
+and distances of 3, 5 and 8 pixels in one window of 105 ms, which is 29 to 76 px/s. N-MNIST's own
+saccades cover about 5 px in such a window.
 
-Kind "beyond" has what motion re-synthesis never draws: 14 pixels along a line, 5 pixels and back,
-and round a loop of 4 by 4 pixels.
+Each motion is a straight line that passes the centre at half time. So the mean position of a digit
+is the same for all motions, and a network cannot tell the motions apart by this position. These
+motions start at different places, so TNT about the image centre does not turn them into
+translations of each other: Proposition 2 asks for motions from one place. The kinds
+"...-from-centre" start at one place, the centre. The thesis seems to have used motions from the
+centre, with constant velocity.
+
+The kind "beyond" has motions that motion re-synthesis never draws: 14 pixels along a line, 5 pixels
+out and back, and round a loop of 4 by 4 pixels.
 """
 
 from __future__ import annotations
@@ -46,13 +49,14 @@ BEYOND_PX = {"line": 14, "back": 5, "loop": 4}
 """Shape of a path of kind "beyond" -> its distance in pixels."""
 
 WINDOW_US = 105_000
-"""Duration of a motion."""
+"""Duration of a motion, in microseconds."""
 
 NMNIST_US = 308_000
-"""Duration of the three saccades of N-MNIST."""
+"""Duration of the three saccades of N-MNIST, in microseconds."""
 
 FLOW_STEP_US = 3_500
-"""Time between two samples of a flow that changes; divides both `WINDOW_US` and `NMNIST_US`."""
+"""Time between two samples of a flow that changes, in microseconds. It divides `WINDOW_US` and
+`NMNIST_US`."""
 
 NMNIST_SENSOR = (34, 34)
 """N-MNIST's sensor, width and height in pixels."""
@@ -66,12 +70,12 @@ class Motion:
     ----------
     kind : "constant" velocity; "bell", the same displacement with the bell-shaped speed of a
         saccade (minimum jerk: at rest at both ends, 15/8 of its mean speed halfway);
-        "constant-from-centre" and "bell-from-centre", the same from the sensor's centre on;
-        "beyond", see `BEYOND_PX`; or "nmnist", N-MNIST's three saccades.
+        "constant-from-centre" and "bell-from-centre", the same displacements, which start at the
+        sensor's centre; "beyond", see `BEYOND_PX`; or "nmnist", N-MNIST's three saccades.
     index : place in `motions_of(kind)`; part of every recording's seed.
     name : such as "036deg-5px"; names sort like indices.
-    direction_deg, distance_px : direction and length of the displacement; None for "nmnist". Of a
-        path that comes back, as far as it goes; of a loop, its first side.
+    direction_deg, distance_px : direction and length of the displacement; None for "nmnist". For
+        the shape "back" they describe the way out, for "loop" the first side.
     shape : shape of the path: "line", "back" or "loop".
     """
 
@@ -89,9 +93,9 @@ class Motion:
 
     @property
     def flow_times_us(self) -> np.ndarray:
-        """Times to sample the optical flow at, int64, shape (K,).
+        """Times at which the optical flow is sampled, int64, shape (K,).
 
-        Where the flow is constant, this is half time alone.
+        A constant flow is sampled once, at half time.
         """
         if self.kind.removesuffix(FROM_CENTRE) == "constant":
             return np.array([self.duration_us // 2], np.int64)
@@ -110,8 +114,8 @@ class Motion:
         ----------
         rng : draws the delays of N-MNIST's saccades; the other kinds do not use it.
         image, sensor : sizes (width, height) in pixels. The image is in the sensor's centre at half
-            time, or at first. N-MNIST's path, which was measured on its 34 x 34 pixels, is moved
-            with the centre.
+            time, or at the start for the kinds from the centre. N-MNIST's path was measured on a
+            sensor of 34 x 34 pixels; it is moved with the centre of other sensors.
         """
         centre = ((sensor[0] - image[0]) / 2, (sensor[1] - image[1]) / 2)
         if self.kind == "nmnist":
@@ -119,7 +123,7 @@ class Motion:
             start = (saccades.start[0] + (centre[0] - 3.0), saccades.start[1] + (centre[1] - 3.0))
             return dataclasses.replace(saccades, start=start)
 
-        # for mypy: only "nmnist" has none
+        # for mypy: only the motion of "nmnist" has no direction
         assert self.direction_deg is not None and self.distance_px is not None
         from_centre = self.kind.endswith(FROM_CENTRE)
         if self.kind.startswith("constant") or (self.kind, self.shape) == ("beyond", "line"):
@@ -137,7 +141,7 @@ class Motion:
             "back": [(dx, dy), (-dx, -dy)],
             "loop": [(dx, dy), (-dy, dx), (-dx, -dy), (dy, -dx)],
         }[self.shape]
-        # the sides of a loop overlap by half, which rounds its corners
+        # the saccades of a loop's sides overlap by half of their time, which rounds the corners
         lasts = 2 if self.shape == "loop" else 1
         step_us = self.duration_us / (len(sides) + lasts - 1)
         moves = (Saccade(k * step_us, lasts * step_us, *side) for k, side in enumerate(sides))

@@ -33,7 +33,8 @@ class Scene:
         thinner.
     blur_px : standard deviation of the lens' Gaussian point spread, in sensor pixels.
     dark_on_bright : True shows dark strokes on a bright background, so ON events trail the motion
-        and OFF events lead it, as in N-MNIST; False the reverse, with the opposite polarity.
+        and OFF events lead it, as in N-MNIST. False shows bright strokes on a dark background,
+        with opposite polarities.
     """
 
     contrast: float = 5.0
@@ -63,7 +64,7 @@ def render(
     """Frames of log luminance of an image displaced by (dx, dy) pixels.
 
     Frame k at sensor pixel (x, y) shows the blurred image at (x - dx[k], y - dy[k]), interpolated
-    bilinearly; beyond the image is background.
+    bilinearly. Places beyond the image show the background.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def render(
     if width < 1 or height < 1:
         raise ValueError(f"`sensor` must be a positive (width, height), got {sensor}")
 
-    # 3 standard deviations of blur, and one pixel of background around
+    # room for 3 standard deviations of blur, and for one pixel of background
     margin = math.ceil(3.0 * scene.blur_px) + 1
     blurred = _blur(np.pad(strokes, margin), scene.blur_px)
     frames = np.empty((len(dx), height, width))
@@ -121,7 +122,7 @@ def _checked_image(image: np.ndarray) -> np.ndarray:
 
 
 def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur, separable, with background (zero) beyond the border."""
+    """An image after a separable Gaussian blur. Beyond the border is background (zero)."""
     if sigma == 0:
         return image
     radius = math.ceil(3.0 * sigma)
@@ -137,8 +138,8 @@ def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
 def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> None:
     """Shift an image by a fraction of pixels, bilinearly.
 
-    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 -
-                                                                               |a|)
+        frames[k, y, x] = sum_ij image[i, j] weight(y - dy[k] - i) weight(x - dx[k] - j)
+        weight(a) = max(0, 1 - |a|)
 
     Parameters
     ----------

@@ -27,7 +27,8 @@ def simulate_digit(
         background.
     rng : source of all randomness. The same state and arguments give the same events.
     trajectory : the motion; N-MNIST's three saccades, a little delayed at random, by default.
-    scene : contrast, blur and polarity; `Scene()` by default: dark on bright, ON events trail.
+    scene : contrast, blur and polarity; `Scene()` by default, with dark strokes on a bright
+        background.
     pixels : thresholds, mismatch, refractory time and noise; `PixelModel()` by default.
     sensor : (width, height) in pixels.
     frame_us : time between rendered frames; the light is interpolated linearly between them.

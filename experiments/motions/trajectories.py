@@ -2,7 +2,7 @@
 
 A displacement (dx, dy) puts the image's pixel (column 0, row 0) on the sensor's point (x, y) = (dx,
 dy); x grows to the right, y downwards. The image moves as a whole: its optical flow is the
-derivative, the same at every point of it.
+derivative of the displacement, the same at every point of the image.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True)
 class ConstantVelocity:
-    """Uniform motion: (dx, dy)(t) = start + velocity t.
+    """Motion at constant velocity: (dx, dy)(t) = start + velocity t.
 
     Attributes
     ----------
     velocity : (vx, vy) in pixels per second.
     start : displacement at t = 0, in pixels. (3, 3) centres a 28 x 28 image on a 34 x 34 sensor.
-    duration_us : its duration, in microseconds.
+    duration_us : duration of the motion, in microseconds.
     """
 
     velocity: tuple[float, float]
@@ -57,11 +57,10 @@ class ConstantVelocity:
         centre: tuple[float, float] = (3.0, 3.0),
         duration_us: int = 105_000,
     ) -> ConstantVelocity:
-        """Motion at `speed` pixels per second towards `angle_deg`.
+        """The motion at `speed` pixels per second towards `angle_deg`.
 
-        It passes `centre` at half of `duration_us`.
-
-        0 degrees is to the right, 90 downwards (y grows downwards).
+        An angle of 0 degrees is to the right, 90 degrees downwards. The displacement is `centre` at
+        half of `duration_us`.
         """
         vx = speed * math.cos(math.radians(angle_deg))
         vy = speed * math.sin(math.radians(angle_deg))
@@ -78,12 +77,13 @@ class ConstantVelocity:
 class Saccade:
     """One quick movement by (`dx`, `dy`) pixels from `start_us` on, with bell-shaped speed.
 
-    It takes `duration_us`. With u = (t - start_us) / duration_us, clipped to [0, 1], the path is
+    The movement takes `duration_us`. With u = (t - start_us) / duration_us, clipped to [0, 1], the
+    covered share of the path is
 
-        s(u) = 10 u^3 - 15 u^4 + 6 u^5,
+        s(u) = 10 u^3 - 15 u^4 + 6 u^5.
 
-    the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, halfway at 15/8 of its
-    mean speed.
+    This is the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, halfway at 15/8
+    of the mean speed.
     """
 
     start_us: float
@@ -96,16 +96,17 @@ class Saccade:
         _check_duration(self.duration_us)
 
     def progress(self, t_us: ArrayLike) -> np.ndarray:
-        """s at the times `t_us`, from 0 before the saccade to 1 after it."""
+        """The covered share s of the path at times `t_us`: 0 before the saccade, 1 after it."""
         u = np.clip((np.asarray(t_us, np.float64) - self.start_us) / self.duration_us, 0.0, 1.0)
         return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
 
 @dataclass(frozen=True)
 class Saccades:
-    """Several saccades, one after another: (dx, dy)(t) = start + sum of their displacements at t.
+    """Several saccades: (dx, dy)(t) = start + the sum of their displacements at t.
 
-    Saccades may overlap; two that do, in different directions, make a curved path.
+    Saccades may overlap in time. Two of them that overlap make a curved path, if their directions
+    differ.
 
     Attributes
     ----------
@@ -157,18 +158,20 @@ _NMNIST_DELAY_SD_MS = (0.6, 3.2, 2.4)
 def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     """The motion in an N-MNIST recording: three saccades round a triangle, in 308 ms.
 
-    By (1.4, 5.4) px, then (4.0, -5.1), then (-5.3, -0.3). The camera's motors moved unevenly, so
-    each axis is a sum of bell-shaped movements, fitted to the flow measured in 200 of N-MNIST's
-    first 1,000 training recordings: per 4 ms, the signed event counts of all of them regressed on
-    the gradient of the log image that each one shows, at the displacement that explains most of the
-    counts (about two thirds of their variance in mid-saccade). Velocity and position are thus
-    measured independently; the integral of the one agrees with the other within 0.12 px (standard
-    deviation).
+    The image moves by (1.4, 5.4) px, then by (4.0, -5.1), then by (-5.3, -0.3). The camera's motors
+    moved unevenly, so the displacement along each axis is a sum of bell-shaped movements.
+
+    The movements are fitted to the flow in 200 of N-MNIST's first 1,000 training recordings. For
+    every 4 ms, the signed event counts of these recordings were regressed on the gradients of the
+    log images that they show. The images were displaced so that they explain most of the counts:
+    about two thirds of their variance in mid-saccade. This displacement gives the position, and the
+    regression gives the velocity, each measured independently. The integral of the velocity agrees
+    with the position within 0.12 px (standard deviation).
 
     Parameters
     ----------
     rng : draws a delay for each saccade, as measured: normal with standard deviations of 0.6, 3.2
-        and 2.4 ms. (The real ones come in steps of about 5 ms.) None: no delays.
+        and 2.4 ms. (Real delays come in steps of about 5 ms.) None: no delays.
 
     References
     ----------

@@ -1,10 +1,10 @@
 """N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
 
-The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is
-a folder of shards, each with up to `recordings_per_shard` images under one motion, and `set.json`,
-which records how they were made and is written first. Every recording has its own random generator,
-seeded by (seed, index of the motion, index of the image), so the number of workers and
-interruptions change nothing.
+The thesis' set is not published, and the thesis does not name its motions. Ours are in
+`motions/kinds.py`. A set is a folder of shards and `set.json`. A shard has up to
+`recordings_per_shard` images under one motion. `set.json` records how the shards were made, and is
+written first. Every recording has its own random generator, seeded by (seed, index of the motion,
+index of the image). So neither the number of workers nor an interruption changes a set.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ def build(
     scene: Scene | None = None,
     frame_us: float = 1_000.0,
 ) -> MovingMnist:
-    """Simulate the set, or what is missing of it; shows a progress bar.
+    """Simulate a set, or the shards that are missing of it, and show a progress bar.
 
-    Existing shards are kept, damaged ones made again, so an interrupted build resumes when called
-    again. The same arguments give the same files, for any number of workers.
+    Existing shards are kept, and damaged ones are made again. So an interrupted build resumes when
+    it is called again. The same arguments give the same files, for any number of workers.
 
     Parameters
     ----------
@@ -74,14 +74,15 @@ def build(
     which : indices of images; all by default.
     kind : kind of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond"
         (30 motions), or "nmnist" (1).
-    workers : number of processes; one per core by default. A script with more than one needs
-        `if __name__ == "__main__":`.
+    workers : number of processes; one per core by default. A script that uses several processes
+        needs `if __name__ == "__main__":`.
     scene, frame_us : see `simulate_digit`.
 
     Raises
     ------
-    ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
-    OSError : MNIST missing, or the folder cannot be written, or another process makes a set there.
+    ValueError : an argument is out of its range, MNIST files are damaged, or the folder holds
+        another set.
+    OSError : MNIST is missing, the folder cannot be written, or another process makes a set there.
     """
     _check_least("seed", seed, 0)
     _check_least("workers", workers, 1)
@@ -98,7 +99,7 @@ def build(
     images = images[which]
     labels = labels[which]
 
-    # what every shard says, and what the manifest says besides
+    # `shared` stands in every shard, `parameters` in the manifest
     shared = {
         "split": split,
         "seed": int(seed),
@@ -161,8 +162,9 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
 
     Raises
     ------
-    ValueError : incomplete, with the command to resume; not a set, or a damaged `set.json`.
-    OSError : missing or not readable.
+    ValueError : shards are missing (the message has the command to resume), the folder holds no
+        set, or `set.json` is damaged.
+    OSError : the folder or `set.json` is missing or not readable.
     """
     folder = Path(folder)
     made = read_manifest(folder)
@@ -191,7 +193,7 @@ def _make_shard(job: _Job) -> int:
         trajectory = job.motion.trajectory(rng, image=(width, height), sensor=NMNIST_SENSOR)
         flow[i] = flow_of(trajectory, times_us)
         events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
-        # The last half microsecond is rounded up to `duration_us`, where the next window begins.
+        # Events of the last half microsecond are rounded up to `duration_us`, which is outside.
         recordings.append(events[events["t"] < duration_us])
     write_shard(
         job.path,

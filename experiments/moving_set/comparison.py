@@ -1,10 +1,12 @@
 """A simulated set compared with N-MNIST.
 
-The same statistics are computed of real recordings, of their simulations, and of the set.
+The comparison has three columns of the same statistics:
 
-The second column simulates the images that the real recordings show, under N-MNIST's own saccades:
-it shows how good the simulator is. The third shows how the set's motions differ from N-MNIST's,
-with the same images, if the set has them, each under three of its motions.
+1. real recordings of N-MNIST,
+2. simulations of the images that they show, under N-MNIST's own saccades, which tell how good the
+   simulator is,
+3. recordings of the set, each image under three motions, which tell how the set's motions differ
+   from N-MNIST's. These are the same images, if the set has them.
 """
 
 from __future__ import annotations
@@ -30,32 +32,32 @@ from experiments.moving_set.manifest import MovingMnist
 from experiments.moving_set.shards import Shard, open_shard
 
 N_RECORDINGS = 200
-"""Recordings to compare, spread evenly over those that show images of the set's split (over all if
-none do)."""
+"""Largest number of recordings that are compared. They are spread evenly over the recordings that
+show images of the set's split, or over all recordings if none does."""
 
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
-"""Where N-MNIST's saccades begin, and where the third ends (Orchard et al. 2015)."""
+"""Times at which N-MNIST's saccades begin, and at which the third ends (Orchard et al. 2015)."""
+
 OFFICIAL_TRAIN = 60_000
-"""Recordings in N-MNIST's training set; larger numbers are test recordings."""
+"""Number of recordings in N-MNIST's training set. Recordings with larger numbers are for tests."""
 
 
 def compare(
     made: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None
 ) -> dict[str, dict[str, float]]:
-    """Descriptions by `describe_motions`: column title -> name -> value. Shows a progress bar.
+    """Title of a column -> its statistics by `describe_motions`. Shows a progress bar.
 
     Parameters
     ----------
     made : a set with all its shards.
-    mnist_folder : MNIST, to simulate the images of the second column.
-    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None omits the real
-        column, and the second shows the set's first images.
+    mnist_folder : MNIST, whose images the second column simulates.
+    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin. With None there is no
+        real column, and the second column simulates images of the set.
 
     Raises
     ------
-    ValueError : damaged files, or recordings whose digit is not that of the image with their
-        number.
-    OSError : missing folders.
+    ValueError : a file is damaged, or a recording's digit is not that of the image with its number.
+    OSError : a folder is missing.
     """
     split = made.parameters["split"]
     of_set = made.parameters["images"]
@@ -68,14 +70,15 @@ def compare(
         shown_split, found = recordings_by_image(nmnist_folder, split)
         shown = _spread(sorted(found))
     images, labels = load_mnist(mnist_folder, shown_split)
-    with progress((4 if nmnist_folder is None else 5) * len(shown), "comparing") as bar:
+    # an image counts once in each of the first two columns, and three times in the third
+    n_steps = 4 if nmnist_folder is None else 5
+    with progress(n_steps * len(shown), "comparing") as bar:
         if nmnist_folder is not None:
             for image in shown:
                 if image >= len(labels) or labels[image] != int(found[image].parent.name):
                     raise ValueError(
                         f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should "
-                        "show, "
-                        "is another digit"
+                        "show, is another digit"
                     )
             real = _counted((read_nmnist(found[image]) for image in shown), bar)
             columns["N-MNIST"] = describe_motions(real, SACCADE_CUTS_US, directions)
@@ -92,15 +95,18 @@ def compare(
 def _describe_set(
     made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]
 ) -> dict[str, float]:
-    """Each image under three motions (or the only one), all motions equally often."""
+    """Statistics of the set by `describe_motions`.
+
+    Each image is shown under three motions, or under the only motion of the set. All motions are
+    shown equally often.
+    """
     n_motions = len(made.motions)
-    pairs = sorted(
-        {
-            ((k + turn * n_motions // 3) % n_motions, image)
-            for k, image in enumerate(images)
-            for turn in range(3)
-        }
-    )
+    shown: set[tuple[int, int]] = set()
+    for k, image in enumerate(images):
+        for turn in range(3):
+            motion = (k + turn * n_motions // 3) % n_motions
+            shown.add((motion, image))
+    pairs = sorted(shown)
     recordings = _counted(_recordings(made, pairs), bar)
     if made.motions[0].direction_deg is None:
         return describe_motions(recordings, SACCADE_CUTS_US, nmnist_directions)
@@ -112,15 +118,15 @@ def _describe_set(
 def describe_motions(
     recordings: Iterable[np.ndarray], cuts_us: Sequence[int], directions_deg: Sequence[float]
 ) -> dict[str, float]:
-    """`describe` over all saccades, and how far ON events are from OFF events, on average.
+    """Statistics of all saccades by `describe`, and the mean way from OFF events to ON events.
 
     Parameters
     ----------
     recordings : structured arrays in order of time.
-    cuts_us : where saccades begin, and where the last one ends.
-    directions_deg : direction of the motion in each saccade of a recording or, where recordings
-        have one saccade, in each recording; 0 to the right, 90 downwards. ON events trail the
-        motion where their centroid is behind that of the OFF events.
+    cuts_us : times at which saccades begin, and at which the last one ends.
+    directions_deg : direction of the motion in each saccade of a recording. If recordings have one
+        saccade, the direction in each recording. 0 is to the right, 90 downwards. If the number
+        along the motion is negative, ON events trail the motion.
     """
     saccades = [
         events[a:b]
@@ -133,6 +139,7 @@ def describe_motions(
         off = saccade[saccade["p"] == 0]
         if len(on) and len(off):
             apart = complex(on["x"].mean() - off["x"].mean(), on["y"].mean() - off["y"].mean())
+            # turned, so that the real part is along the motion
             offsets.append(apart * np.exp(-1j * np.radians(direction)))
     mean = np.mean(offsets) if offsets else complex(np.nan, np.nan)
     return {
@@ -143,6 +150,7 @@ def describe_motions(
 
 
 def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.ndarray]:
+    """The recordings of pairs (index of a motion, index of an image)."""
     shard: Shard | None = None
     # pairs are sorted, so each shard is opened once
     for motion, image in pairs:
@@ -153,12 +161,11 @@ def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.
 
 
 def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]:
-    """The split of MNIST that the recordings show, and the recordings by image index.
+    """The split of MNIST that the recordings show, and index of an image -> its recording.
 
-    The split is `split` if any recording shows it.
-
-    Recording n shows image n, counted from 1, of the same official set. Recordings above 60,000
-    show image n - 60,000 of the test set.
+    The split is `split` if any recording shows an image of it. Recording n shows image n of the
+    same official set, both counted from 1. If n is above 60,000, the recording shows image
+    n - 60,000 of the test set.
 
     Raises
     ------
@@ -193,6 +200,7 @@ def _spread(items: list[int]) -> list[int]:
 
 
 def _counted(recordings: Iterator[np.ndarray], bar: Any) -> Iterator[np.ndarray]:
+    """The recordings as they are given. The progress bar moves after each recording."""
     for recording in recordings:
         yield recording
         bar.update()

@@ -25,12 +25,11 @@ MANIFEST = "set.json"
 """Name of the manifest in the folder of a set."""
 
 FORMAT = "async_tnt.moving_mnist"
-"""What the manifest says that the folder is."""
+"""The manifest's entry `format`, which tells that the folder is a set."""
 
 VERSION = 1
 """Version of the format."""
 
-# that readers need
 PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordings_per_shard")
 """Parameters that readers need."""
 
@@ -54,36 +53,44 @@ class MovingMnist:
     parameters: dict[str, Any]
 
     def __len__(self) -> int:
-        """Recordings in the complete set."""
+        """The number of recordings in the complete set."""
         return len(self.motions) * len(self.parameters["images"])
 
     def __iter__(self) -> Iterator[Shard]:
-        """Open one shard after the other."""
+        """The shards, which are opened one after the other."""
         return map(open_shard, self.shards)
 
     def locate(self, motion: int, image: int) -> tuple[Path, int]:
         """The shard that holds the recording of an image under a motion, and its place there."""
         images = self.parameters["images"]
         step = self.parameters["recordings_per_shard"]
+        shards_of_motion = -(-len(images) // step)  # rounded up
         place = images.index(image)
-        return self.shards[motion * -(-len(images) // step) + place // step], place % step
+        shard = motion * shards_of_motion + place // step
+        return self.shards[shard], place % step
 
 
 def write_manifest(made: MovingMnist) -> None:
+    """Write the manifest of a set, unless the same manifest is there.
+
+    Raises
+    ------
+    ValueError : the folder has a manifest with other parameters, or shards without a manifest.
+    """
     path = made.folder / MANIFEST
     if path.exists():
         there: Any = read_manifest(made.folder).parameters
         asked: Any = made.parameters
         if there == asked:
             return
-        while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
+        # go down to the first parameter that differs, for the message
+        while isinstance(there, dict) and isinstance(asked, dict):
             name = next(key for key in sorted(there | asked) if there.get(key) != asked.get(key))
             there = there.get(name)
             asked = asked.get(name)
         raise ValueError(
             f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give "
-            "the same, or another "
-            "folder"
+            "the same, or another folder"
         )
     if any(shard.exists() for shard in made.shards):
         raise ValueError(
@@ -105,8 +112,8 @@ def read_manifest(folder: Path) -> MovingMnist:
 
     Raises
     ------
-    FileNotFoundError : the folder has none.
-    ValueError : damaged, or not the manifest of a set.
+    FileNotFoundError : the folder has no manifest.
+    ValueError : the manifest is damaged, or not that of a set.
     """
     path = folder / MANIFEST
     if not path.is_file():

@@ -10,11 +10,11 @@ With N events in R recordings, all of which last `duration_us`:
     labels         uint8    (R,)       class
     image          int32    (R,)       index of the image in its data set, from 0
     flow           float32  (R, K, 2)  optical flow (vx, vy) of the whole image, px/s, to the right
-                                       and downwards, at
-    flow_times_us  int64    (K,)       these times; K = 1 where the flow is constant
+                                       and downwards, at the times of flow_times_us
+    flow_times_us  int64    (K,)       times of the flow, us; K = 1 if the flow is constant
 
-and one metadata entry, `shard`: JSON with `sensor` [width, height], `duration_us` and more: the
-motion, the seed, the simulator's parameters.
+The file has one metadata entry, `shard`. It is JSON with `sensor` [width, height], `duration_us`
+and more: the motion, the seed, the simulator's parameters.
 """
 
 from __future__ import annotations
@@ -43,13 +43,14 @@ COLUMNS = {
     "labels": "u1",
     "image": "i4",
     "flow": "f4",
+    "flow_times_us": "i8",
 }
-COLUMNS |= {"flow_times_us": "i8"}
+"""Column -> its type."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """Recordings of one file, made by `open_shard`: its columns, read-only, and its metadata."""
+    """The columns of one file, which are read-only, and its metadata. Made by `open_shard`."""
 
     path: Path
     t: np.ndarray
@@ -64,11 +65,11 @@ class Shard:
     metadata: dict[str, Any]
 
     def __len__(self) -> int:
-        """Recordings in the shard."""
+        """The number of recordings in the shard."""
         return len(self.labels)
 
     def recording(self, i: int) -> np.ndarray:
-        """Events of recording `i`: a structured array of `EVENT_DTYPE`, the caller's to change."""
+        """The events of recording `i`: a new structured array, which the caller may change."""
         some = slice(int(self.offsets[i]), int(self.offsets[i + 1]))
         return structured([self.t[some], self.x[some], self.y[some], self.p[some]])
 
@@ -85,16 +86,17 @@ def write_shard(
     duration_us: int,
     metadata: Mapping[str, Any],
 ) -> None:
-    """Write recordings, structured arrays of `EVENT_DTYPE`; the same arguments give the same bytes.
+    """Write a shard of recordings. The same arguments give the same bytes.
 
     Parameters
     ----------
+    recordings : structured arrays of `EVENT_DTYPE`.
     labels, image, flow, flow_times_us, sensor, duration_us : see the module's docstring.
-    metadata : more to keep, as JSON.
+    metadata : more entries of the JSON.
 
     Raises
     ------
-    ValueError : a value breaks the format's rules; nothing is written then.
+    ValueError : a value breaks the format's rules. Then nothing is written.
     """
     about = {**metadata, "sensor": [int(n) for n in sensor], "duration_us": int(duration_us)}
     events = np.concatenate([np.empty(0, EVENT_DTYPE), *recordings])
@@ -122,7 +124,7 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
 
     Raises
     ------
-    ValueError : damaged, or not a shard; the message names the file and what is wrong.
+    ValueError : the file is damaged, or not a shard. The message names the file and what is wrong.
     """
     path = Path(path)
     try:
@@ -148,7 +150,7 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
 
 
 def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
-    """Check the format's rules, for writer and reader alike."""
+    """Check the format's rules, when a shard is written and when it is read."""
     t = columns["t"]
     offsets = columns["offsets"]
     times = columns["flow_times_us"]

@@ -1,16 +1,15 @@
-"""Recordings of single grey objects in front of a sensor of 128x128.
+"""Made recordings of single grey objects that a hand swings in front of a sensor of 128x128 pixels.
 
-A hand swings them by two or three pixels.
+The hand swings an object by two or three pixels. Half a swing takes 75 to 100 ms; in some
+recordings the hand turns round and comes back. Meanwhile the object turns by a few degrees, and
+comes nearer or goes away. A pixel with events has about two of them. A sixth of the events are
+after-pulses: another event of the same pixel within a millisecond, mostly of the other sign. This
+module shares no code with motion re-synthesis, which is measured on its recordings.
 
-Half a swing takes 75 to 100 ms; in some recordings the hand turns round and comes back. Meanwhile
-the object turns by a few degrees and comes nearer or goes away. Pixels with events have about two,
-a sixth of which are after-pulses: another event of the same pixel within a millisecond, mostly of
-the other sign. Nothing here is shared with motion re-synthesis, which is measured on it.
-
-The objects are eight signs, thin and bold, darker than what is behind them: edges along the motion
-give no events, so that each direction shows another part of them. (Discs, squares, crosses, corners
-and triangles, with which this began, were no test: trained on one direction, `train` knew .89 to
-.98 of them in the others.)
+The objects are eight signs, thin or bold, and darker than the background. Edges along the motion
+give no events, so each direction of motion shows other parts of a sign. Discs, squares, crosses,
+corners and triangles are no test: a network that `train` trained on one direction recognised .89 to
+.98 of them in the others.
 """
 
 from __future__ import annotations
@@ -29,58 +28,59 @@ SENSOR = (128, 128)
 """Width and height of the sensor, in pixels."""
 
 WINDOW_US = 100_000
-"""Length of a recording."""
+"""Length of a recording, in microseconds."""
 
 STEPS = 50
-"""Pictures that the pixels see during a recording."""
+"""Number of steps between the pictures that the pixels see during a recording."""
 
 SWING_PX = (2.0, 3.0)
 """Least and largest length of a swing, in pixels."""
 
 SWING_MS = (75.0, 100.0)
-"""Least and largest duration of half a swing."""
+"""Least and largest duration of half a swing, in milliseconds."""
 
 BACK = 0.3
 """Share of the recordings in which the hand turns round within the window."""
+
 SPREAD = np.radians(4.0)
-"""Standard deviation of a swing's direction about the one that is asked for."""
+"""Standard deviation of a swing's direction about the wanted direction, in radians."""
 
 AFTER = 0.2
 """Share of events with an after-pulse."""
 
 AFTER_US = 1_000
-"""Longest time from an event to its after-pulse."""
+"""Longest time from an event to its after-pulse, in microseconds."""
 
 AFTER_OTHER = 0.8
-"""Share of after-pulses of the other sign."""
+"""Share of after-pulses that have the opposite sign of their event."""
 
 SOFT_PX = 0.7
 """Width of an object's edge, in pixels."""
 
 FAR = 1.6
-"""How far the tables of distances reach, in the radius of an object."""
+"""Reach of the tables of distances from an object's middle, in radii of the object."""
 
 STEP = 0.005
-"""Distance between two places of the tables, in the radius of an object."""
+"""Distance between two places of the tables, in radii of an object."""
 
 Points = list[tuple[float, float]]
 """Points (x, y) of a line."""
 
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""What gives the distance from an outline at places (x, y), negative inside."""
+"""A function that gives the distance from an outline at places (x, y), negative inside."""
 
 
 @dataclass(frozen=True)
 class HandSession:
-    """What differs from one day to the next.
+    """What differs from one day of recording to the next.
 
     threshold : mean threshold of the pixels, in log luminance.
     mismatch : standard deviation of the logarithm of the pixels' thresholds.
     noise_hz : events of noise a second, of each pixel.
     size : radius of the objects, in pixels.
-    place : where they are from the middle of the sensor, in pixels.
-    turn_deg, nearer : standard deviations of how far they turn, and of the share by which they
-        grow, in a swing.
+    place : place (x, y) of the objects from the middle of the sensor, in pixels.
+    turn_deg : standard deviation of the angle by which objects turn in a swing.
+    nearer : standard deviation of the share by which objects grow in a swing.
     """
 
     threshold: float = 0.2
@@ -96,23 +96,26 @@ SESSIONS = (
     HandSession(),
     HandSession(threshold=0.25, mismatch=0.18, noise_hz=0.08, size=15.0, place=(9.0, -6.0)),
 )
-"""Two days: training and testing, and a test of another session."""
+"""Two sessions: the first for training and testing, the second for a test on another day."""
 
 
 def _arc(x: float, y: float, radius: float, first: float, last: float) -> Points:
-    """Points of a part of a circle, between angles in degrees from right to down."""
+    """Points of an arc from angle `first` to angle `last`, in degrees; 0 is right, 90 down."""
     angles = np.radians(np.linspace(first, last, 13))
     return [(x + radius * np.cos(angle), y + radius * np.sin(angle)) for angle in angles]
 
 
 def _strokes(thick: float, *lines: Points) -> Distance:
-    """Lines through points, `thick` on either side."""
+    """A function that gives the distance from the outline of lines through points.
+
+    thick : half the width of the lines.
+    """
 
     def distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         nearest = np.full(x.shape, np.inf)
         for line in lines:
             for (x0, y0), (x1, y1) in pairwise(line):
-                # the nearest point of the line from (x0, y0) to (x1, y1)
+                # the nearest point of the line is at this share of the way to (x1, y1)
                 length_squared = (x1 - x0) ** 2 + (y1 - y0) ** 2
                 along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length_squared
                 share = np.clip(along, 0, 1)
@@ -124,13 +127,13 @@ def _strokes(thick: float, *lines: Points) -> Distance:
 
 
 THIN = 0.07
-"""Half the width of thin lines, in the radius of an object."""
+"""Half the width of thin lines, in radii of an object."""
 
 BOLD = 0.2
-"""Half the width of bold lines, in the radius of an object."""
+"""Half the width of bold lines, in radii of an object."""
 
 SIX = [[*_arc(0.25, 0.0, 0.75, 235, 180), *_arc(0.0, 0.4, 0.5, 180, -180)]]
-"""The lines of a 6; turned by half a circle, those of a 9."""
+"""The lines of a 6. Turned by half a circle, they are the lines of a 9."""
 
 SHAPES: Mapping[str, Distance] = {
     "2": _strokes(THIN, [*_arc(0.0, -0.4, 0.5, 190, 370), (-0.5, 0.9), (0.5, 0.9)]),
@@ -144,20 +147,22 @@ SHAPES: Mapping[str, Distance] = {
     "S": _strokes(BOLD, [*_arc(0.0, -0.4, 0.4, -20, -270), *_arc(0.0, 0.4, 0.4, -90, 160)]),
     "Z": _strokes(BOLD, [(-0.5, -0.8), (0.5, -0.8), (-0.5, 0.8), (0.5, 0.8)]),
 }
-"""Name -> about the distance from the outline, negative inside, of an object of radius 1."""
+"""Name of a sign -> function that gives the approximate distance from its outline, if the sign has
+a radius of 1."""
 
 
 @cache
 def _table(name: str) -> np.ndarray:
-    """The distance at all places within `FAR`, `STEP` apart.
+    """A table [y, x] of the distances from a sign's outline, at places `STEP` apart within `FAR`.
 
-    To compute it for each picture would take a second.
+    To compute the distances for each picture would take a second.
     """
     places = np.arange(-FAR, FAR, STEP)
     return SHAPES[name](*np.meshgrid(places, places)).astype(np.float32)
 
 
 def _distance(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The distance from a sign's outline at places (x, y), looked up in its table."""
     table = _table(name)
 
     def place(at: np.ndarray) -> np.ndarray:
@@ -170,9 +175,10 @@ def _distance(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def record(
     name: str, direction: float, rng: np.random.Generator, session: HandSession
 ) -> dict[str, np.ndarray]:
-    """Columns t, x, y, p of one recording of an object that a hand swings.
+    """Columns t, x, y, p of one recording of a sign that a hand swings.
 
-    It swings in `direction`, in radians.
+    name : name of the sign.
+    direction : direction of the swing, in radians.
     """
     width, height = SENSOR
     angle = direction + SPREAD * rng.standard_normal()
@@ -241,7 +247,7 @@ def write(
 ) -> Path:
     """Write `n` recordings of each class as `folder/<class>/<number>.npz`.
 
-    Their directions take turns.
+    The recordings of a class take the `directions` in turn.
     """
 
     def recorded(name: str, i: int, rng: np.random.Generator) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
-"""Recordings of two objects in grey levels that move together over a small sensor.
+"""Made recordings of two grey objects that move together over a small sensor.
 
-This renders and simulates on its own: nothing here is shared with the augmentation that is measured
-on it.
+This module renders and simulates on its own. It shares no code with the augmentation that is
+measured on its recordings.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ SENSOR = (64, 48)
 """Width and height of the sensor, in pixels."""
 
 WINDOW_US = 50_000
-"""Length of a recording."""
+"""Length of a recording, in microseconds."""
 
 SHAPES = ("cross", "disc", "square", "triangle")
 """The shapes, of which two move together."""
 
 CLASSES = tuple("-".join(pair) for pair in combinations(SHAPES, 2))
-"""Two shapes each."""
+"""The classes. Each is a pair of shapes."""
 
 STEPS = 60
-"""Pictures that the pixels see during a recording."""
+"""Number of steps between the pictures that the pixels see during a recording."""
 
 SUBPIXELS = 2
-"""Places that a pixel is drawn by, along each side."""
+"""Number of points along each side of a pixel at which a picture is drawn."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """What may differ from one day to the next.
+    """What may differ from one day of recording to the next.
 
     threshold : mean threshold of the pixels, in log luminance.
     mismatch : standard deviation of the logarithm of the pixels' thresholds.
     noise_hz : events of noise a second, of each pixel.
-    size, place : a factor of the objects' size, and where they are from the middle of the sensor,
-        in pixels.
+    size : factor of the objects' size.
+    place : place (x, y) of the objects from the middle of the sensor, in pixels.
     """
 
     threshold: float = 0.2
@@ -52,7 +52,7 @@ class Session:
 
 
 def inside(shape: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Whether points lie in a shape of radius 1 about 0."""
+    """Whether points (x, y) lie in a shape of radius about 1, whose middle is at (0, 0)."""
     if shape == "disc":
         return np.asarray(np.hypot(x, y) < 0.9)
     if shape == "square":
@@ -65,7 +65,10 @@ def inside(shape: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def record(
     name: str, direction: float, rng: np.random.Generator, session: Session = Session()
 ) -> dict[str, np.ndarray]:
-    """Columns t, x, y, p of one recording of a class that moves in `direction`, in radians."""
+    """Columns t, x, y, p of one recording of the class `name`.
+
+    direction : direction of the motion, in radians.
+    """
     width, height = SENSOR
     objects = []
     for shape, side in zip(rng.permutation(name.split("-")), (-1, 1), strict=True):
@@ -106,10 +109,13 @@ def pixel_events(
     steps: int,
     rng: np.random.Generator,
 ) -> list[np.ndarray]:
-    """Events t, x, y, p of pixels that see `steps` + 1 pictures, and of noise.
+    """Columns t, x, y, p of the events of pixels, and of noise.
 
-    The pictures hold log luminance, and the pixels have thresholds (H, W). The events are not
-    in order, and their times are float.
+    The events are not in order, and their times are float.
+
+    seen : `steps` + 1 pictures of log luminance, (H, W), one after the other.
+    threshold : threshold of each pixel in log luminance, (H, W).
+    noise_hz : events of noise a second, of each pixel.
     """
     level = None
     parts = []
@@ -117,7 +123,7 @@ def pixel_events(
         if level is None:
             level = light + threshold * rng.uniform(-1, 1, light.shape)
             continue
-        # so many thresholds, and events, each pixel is away from its level
+        # thresholds between each pixel's light and its level: this many events
         n = np.trunc((light - level) / threshold).astype(int)
         level = level + n * threshold
         rows, columns = np.nonzero(n)
@@ -135,7 +141,7 @@ def pixel_events(
 
 
 def in_order(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns by time, in whole microseconds."""
+    """Columns of events in order of time, with times in whole microseconds."""
     order = np.argsort(t)
     return {"t": t[order].astype(np.int64), "x": x[order], "y": y[order], "p": p[order]}
 
@@ -145,7 +151,7 @@ def write(
 ) -> Path:
     """Write `n` recordings of each class as `folder/<class>/<number>.npz`.
 
-    Their directions take turns.
+    The recordings of a class take the `directions` in turn.
     """
 
     def recorded(name: str, i: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -161,11 +167,10 @@ def write_classes(
     seed: int,
     record: Callable[[str, int, np.random.Generator], dict[str, np.ndarray]],
 ) -> Path:
-    """Write `n` recordings of each class as `folder/<class>/<number>.npz` files, with generators.
+    """Write `n` recordings of each class as `folder/<class>/<number>.npz`.
 
-    Each recording has a generator of its own.
-
-    record : called with class, number and generator; returns columns.
+    record : called with a class, a number and a random generator of its own; returns the columns of
+        a recording.
     """
     for label, name in enumerate(classes):
         (folder / name).mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,9 @@
-"""Pictures of six objects before a background, and recordings of them in other pictures.
+"""Pictures of six kinds of objects before a background, and recordings of such objects.
 
-Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2,
-light from aside, before other textures; each picture shows another one of its kind. The recordings
-show objects of their own on a sensor of 48x48, moved by another renderer and other pixels
-(`objects/pairs.py`) than those that training simulates.
+The kinds are cup, glass (a cup without its handle), bottle, leaf, star and key. Objects and
+backgrounds have textures of power 1/f^2, with light from aside. Each picture shows another object
+of its kind. The recordings show further objects, on a sensor of 48x48 pixels. They are made by a
+renderer and by pixels (`objects/pairs.py`) that share no code with the simulation in training.
 """
 
 from __future__ import annotations
@@ -16,35 +16,35 @@ import numpy as np
 from experiments.objects.pairs import in_order, pixel_events, write_classes
 
 CLASSES = ("bottle", "cup", "glass", "key", "leaf", "star")
-"""The objects."""
+"""The kinds of objects."""
 
 SENSOR = (48, 48)
 """Width and height of the sensor, in pixels."""
 
 WINDOW_US = 100_000
-"""Length of a recording."""
+"""Length of a recording, in microseconds."""
 
 STEPS = 60
-"""Pictures that the pixels see during a recording."""
+"""Number of steps between the pictures that the pixels see during a recording."""
 
 SIDE = 200
 """Width and height of a picture, in pixels."""
 
 OBJECT = 0.55
-"""Radius of an object, in half of the picture's side."""
+"""Radius of an object, as a share of half the picture's side."""
 
 FINE = 3
-"""Places that a picture's pixel is drawn by, along each side."""
+"""Number of points along each side of a picture's pixel at which it is drawn."""
 
 LENGTH_PX = (2.0, 8.0)
 """Least and largest distance that a recording moves, in pixels of the sensor."""
 
 IN_VIEW = (0.75, 1.0)
-"""Least and largest side of a picture on the sensor, as a share of the sensor's."""
+"""Least and largest side of a picture on the sensor, as a share of the sensor's side."""
 
 Shape = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
-"""What says which places (x, y) are inside an object; random numbers make each object another
-one."""
+"""A function that tells which places (x, y) are inside an object. It draws random numbers, so each
+call gives another object."""
 
 
 def _body(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -98,11 +98,14 @@ SHAPES: dict[str, Shape] = {
     "leaf": _leaf,
     "star": _star,
 }
-"""Class -> its shape."""
+"""Kind of objects -> its shape."""
 
 
 def picture(name: str, rng: np.random.Generator) -> np.ndarray:
-    """Luminance from 0 to 1 of one object of this kind before a background, (SIDE, SIDE)."""
+    """A picture of one object of this kind before a background.
+
+    It is luminance from 0 to 1, shape (SIDE, SIDE).
+    """
     n = SIDE * FINE
     row, column = (np.mgrid[:n, :n] - n / 2) / (n / 2)
     angle = np.radians(rng.uniform(-10, 10))
@@ -126,9 +129,11 @@ def picture(name: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def _texture(n: int, rng: np.random.Generator) -> np.ndarray:
+    """A random texture of power 1/f^2 and standard deviation 1, shape (n, n)."""
     frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
     frequency[0, 0] = np.inf
-    field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((n, n))) / frequency, (n, n))
+    spectrum = np.fft.rfft2(rng.standard_normal((n, n))) / frequency
+    field = np.fft.irfft2(spectrum, (n, n))
     return np.asarray(field / field.std())
 
 
@@ -148,17 +153,18 @@ def write_pictures(folder: Path, n: int, seed: int) -> Path:
 
 
 def write_recordings(folder: Path, n: int, seed: int) -> Path:
-    """Write `n` recordings of each class, each of another object, and return the folder.
+    """Write `n` recordings of each class as `folder/<class>/<number>.npz`, and return the folder.
 
-    Their names are `folder/<class>/<number>.npz`.
+    Each recording shows another object.
     """
     return write_classes(folder, CLASSES, n, seed, lambda name, _, rng: _record(name, rng))
 
 
 def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Columns t, x, y, p of a camera that swings before a picture.
+    """Columns t, x, y, p of a camera that swings before a new picture of a class.
 
-    It moves by about half a period of a cosine. If it turns before the end, it moves back a little.
+    The camera moves along about half a period of a cosine. If it turns round before the end, it
+    moves back a little.
     """
     light = np.log(picture(name, rng))
     width, height = SENSOR
@@ -182,6 +188,7 @@ def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The values of an image at places (x, y), interpolated bilinearly."""
     left = x.astype(int)
     top = y.astype(int)
     x = x - left

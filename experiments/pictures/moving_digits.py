@@ -1,10 +1,10 @@
-"""How models read MNIST's test images in simulated windows.
+"""Accuracies of models on simulated windows of MNIST's test images.
 
-The windows have motions, lights and speeds that N-MNIST does not have.
+The windows have motions, lights and speeds that N-MNIST does not have:
 
-motions   the 30 of N-MOVING-MNIST, dark digits and bright ones
-speeds    N-MNIST's own three saccades at a quarter to four times their speed, in windows in
-          proportion
+motions   the 30 motions of N-MOVING-MNIST, with dark digits and with bright digits
+speeds    N-MNIST's own three saccades at a quarter to four times their speed; the windows are as
+          much shorter as the speed is higher
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from experiments.motions.simulated_digits import simulate_digit
 from experiments.motions.trajectories import Saccades, Trajectory, nmnist_saccades
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Speeds of N-MNIST's saccades, as shares of their own."""
+"""Speeds of saccades, as factors of the speed of N-MNIST's saccades."""
 
 
 @dataclass(frozen=True)
 class Faster:
-    """Another path at `speed` times its speed."""
+    """The motion along `path` at `speed` times its speed."""
 
     path: Saccades
     speed: float
@@ -49,7 +49,7 @@ class Faster:
 def accuracies(
     models: Sequence[Model], images: np.ndarray, labels: np.ndarray
 ) -> dict[str, dict[str, list[float]]]:
-    """Shares of windows that each model has right, by test, and by motion or speed.
+    """Test -> motion or speed -> share of windows that each model has right.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def accuracies(
 
 
 def _windows(images: np.ndarray, labels: np.ndarray) -> Iterator[tuple[str, str, Windows, int]]:
-    """The windows of each case of a test, as (test, case, windows, length of a window)."""
+    """All cases as (test, case, windows, length of a window in us); a case is a motion or speed."""
     for test, scene in (
         ("dark on bright", Scene()),
         ("bright on dark", Scene(dark_on_bright=False)),
@@ -94,6 +94,7 @@ def _simulated(
     scene: Scene,
     speed: float,
 ) -> Windows:
+    """The windows of simulated recordings: one image along each path, with its generator."""
     with RecordingsWriter() as writer:
         for i, (image, rng, path) in enumerate(zip(images, rngs, paths, strict=True)):
             events = simulate_digit(

@@ -1,4 +1,4 @@
-"""Pictures of symbols and digits as class folders: drawn with fonts, or MNIST's."""
+"""Folders of pictures by class: symbols drawn with fonts, or MNIST's digits."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ CHARACTERS = {character: character for character in string.digits + string.ascii
 """Class of HOTS' characters -> the character."""
 
 UNFIT = ("LastResort", "FreeSerifBold")
-"""Names of fonts that draw boxes, or a club as a spade."""
+"""Starts of names of fonts that are left out: they draw boxes, or a club as a spade."""
 
 HEIGHT = 96
-"""Height of a drawn glyph, about, in pixels."""
+"""Approximate height of a drawn character, in pixels."""
 
 
 def write_mnist(folder: Path, mnist: Path, n: int) -> None:
-    """Write the first `n` training images of MNIST, `folder/<digit>/<number>.png`."""
+    """Write the first `n` training images of MNIST as `folder/<digit>/<number>.png`."""
     from PIL import Image
 
     images, labels = load_mnist(mnist, "train")
@@ -36,7 +36,7 @@ def write_mnist(folder: Path, mnist: Path, n: int) -> None:
 
 
 def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> None:
-    """Draw the character of each class, black on white, by each font that has them all."""
+    """Draw the character of each class, black on white, with each font that has all of them."""
     from PIL import Image, ImageDraw
 
     for old in folder.glob("*/*.png"):
@@ -51,9 +51,10 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> No
 
 
 def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
-    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters.
+    """Names and fonts that draw all these characters, from a folder, by default matplotlib's.
 
-    A font must draw each character with another shape, and not as an earlier font draws it.
+    A font must draw each character in a shape of its own. Of fonts that draw the same shapes, the
+    first one is taken.
     """
     with needs_extra("plot", "fonts are matplotlib's"):
         from matplotlib import get_data_path
@@ -67,6 +68,9 @@ def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
             font = ImageFont.truetype(str(path), HEIGHT)
             missing = bytes(font.getmask("\uffff"))
             drawn = [bytes(font.getmask(character)) for character in text]
-            if all(map(any, drawn)) and len({missing, *drawn}) > len(drawn):
+            has_ink = all(map(any, drawn))
+            # no two characters look the same, and none as a missing one
+            all_differ = len({missing, *drawn}) > len(drawn)
+            if has_ink and all_differ:
                 fonts.setdefault(b"".join(drawn), (path.stem, font))
     return list(fonts.values())

@@ -1,7 +1,4 @@
-"""What the commands of this folder share.
-
-These are options, how they end, and the files and pictures that they write.
-"""
+"""What the commands of the laboratory share: options, exit codes, and files that they write."""
 
 from __future__ import annotations
 
@@ -40,7 +37,10 @@ def picture_file(text: str) -> Path:
 def plain_parser(
     name: str, description: str | None, epilog: str | None = None
 ) -> argparse.ArgumentParser:
-    """The parser of `python -m experiments.NAME`. It prints description and epilog as they are."""
+    """The parser of `python -m experiments.NAME`.
+
+    It prints description and epilog as they are, without new line breaks.
+    """
     return argparse.ArgumentParser(
         prog=f"python -m experiments.{name}",
         description=description,
@@ -50,7 +50,7 @@ def plain_parser(
 
 
 def picture_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """`plain_parser` of a command that draws into --picture."""
+    """A `plain_parser` with the option --picture, for commands that only draw."""
     parser = plain_parser(name, description)
     parser.add_argument(
         "--picture", type=picture_file, metavar="FILE", required=True, help=".png, .svg or .pdf"
@@ -61,9 +61,10 @@ def picture_parser(name: str, description: str | None) -> argparse.ArgumentParse
 def script_parser(
     name: str, description: str | None, quick: str, *, draws: bool = False
 ) -> argparse.ArgumentParser:
-    """`plain_parser` with --quick and --json.
+    """A `plain_parser` with the options --quick and --json.
 
-    If the command draws, it has --picture and --from, too.
+    quick : words for what --quick measures.
+    draws : whether the command also draws. Then it has --picture and --from, too.
     """
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
@@ -87,9 +88,13 @@ def run_script(
     name: str,
     draw: Callable[[Any], Any] | None = None,
 ) -> int:
-    """Measure or read report `name`, print its tables, and write JSON and the picture if asked.
+    """Measure a report or read it, print its tables, and write JSON and the picture if asked.
 
-    `measure` is called with --quick. Returns the exit code: 1 if backends do not agree.
+    measure : makes the report; called with True for --quick.
+    name : name of the report, see `REPORT_OF`.
+    draw : makes the picture of a report.
+
+    Returns the exit code: 1 if backends do not give the same results.
     """
     args = parser.parse_args(argv)
     try:
@@ -100,22 +105,23 @@ def run_script(
     except WorkDiffers as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
-    write_outputs(args, report, draw)  # first: measuring took minutes
+    # written before the tables, because measuring took minutes, and printing may fail
+    write_outputs(args, report, draw)
     print_tables(report, name)
     return 0
 
 
 def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str, Any]:
-    """What the file of --json has, or `report` where there is none."""
+    """The report that the file of --json has, or `report` if there is no such file."""
     if args.json and args.json.exists():
         return read_json(args.json)
     return report
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
-    """Print what RESULTS.md would show of this report.
+    """Print the tables that RESULTS.md would have of the report `name`.
 
-    It also prints what each row does, and what is left out and why.
+    It also prints what each row does, and which rows are left out and why.
     """
     from experiments.tables.sections import SECTIONS
 
@@ -131,7 +137,7 @@ def print_tables(report: dict[str, Any], name: str) -> None:
 
 
 def _leaves(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Name and text of each leaf; the name of the node above it stands before its own."""
+    """Name and text of each leaf. The name of the node above stands before a leaf's own name."""
     for name, value in node.items():
         if isinstance(value, dict):
             yield from _leaves(value, f"{name}: ")
@@ -150,7 +156,7 @@ def write_outputs(
 
 
 def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100) -> None:
-    """Draw what is given, in the style of all figures, and write the picture."""
+    """Call `draw` with what is given, in the style of all figures, and write the picture."""
     with styled():
         save(draw(*given), path, dpi)
 
@@ -158,7 +164,7 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 def exit_with(main: Callable[[], int]) -> NoReturn:
     """Run a command, and end the process with its exit code.
 
-    An error is printed in one line. The exit code of bad input is 2, that of Ctrl-C is 130.
+    An error is printed in one line. The exit code is 2 after bad input, and 130 after Ctrl-C.
     """
 
     def show(message: Warning | str, *where: Any, **more: Any) -> None:
@@ -168,7 +174,7 @@ def exit_with(main: Callable[[], int]) -> NoReturn:
         with warnings.catch_warnings():
             warnings.showwarning = show
             code = main()
-    except BrokenPipeError:  # `| head`: the reader has seen enough
+    except BrokenPipeError:  # the reader of the output, such as `| head`, has read enough
         code = 0
     except (OSError, ValueError, ImportError, RuntimeError, subprocess.CalledProcessError) as error:
         _print_line(str(error))
@@ -202,7 +208,10 @@ def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> No
 
 
 def data_folder(given: Path | None, name: str, option: str) -> Path:
-    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`."""
+    """The data folder that is given, or the folder `name` in $TNT_DATA.
+
+    option : the option by which it is given, for the error.
+    """
     folder = given
     if folder is None:
         root = os.environ.get("TNT_DATA")

@@ -9,7 +9,7 @@ from typing import Any
 
 
 def command(*words: object) -> dict[str, Any]:
-    """What `async-tnt` prints as JSON."""
+    """The JSON object that `async-tnt` prints if it is run with these words."""
     done = subprocess.run(
         [sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True
     )

@@ -1,6 +1,6 @@
-"""The engines that run a model's classifier and are compared.
+"""The engines that are compared. Each runs a model's classifier.
 
-Each runs on one thread, as users call it.
+Each engine runs on one thread, and is called as users call it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ Network = Callable[[np.ndarray], np.ndarray]
 
 
 class Engine(NamedTuple):
-    """What runs a model's classifier."""
+    """An engine that runs a model's classifier."""
 
     work: str
-    """What a call does."""
+    """What a call does, in words."""
     make: Callable[[Model], Network]
+    """Makes the engine's network of a model."""
     packages: tuple[str, ...] = ()
-    """That it needs."""
+    """Packages that the engine needs."""
 
 
 def _onnxruntime_run(model: Model) -> Network:
@@ -56,6 +57,7 @@ def _onnxruntime_binding(model: Model) -> Network:
 
 
 def _session(model: Model) -> Any:
+    """A session of ONNX Runtime with the exported network, on one thread."""
     from async_tnt.networks.onnx.export import to_onnx
     from async_tnt.networks.onnx.network import open_session
 
@@ -139,6 +141,7 @@ ENGINES = {
         ("torch", "tnt_reference"),
     ),
 }
+"""Row of the tables -> its engine."""
 
 NEEDS = {name: engine.packages for name, engine in ENGINES.items()}
 """Engine -> packages that it needs."""
@@ -148,17 +151,18 @@ ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")
 
 
 def dense_networks(model: Model) -> dict[str, Network]:
-    """The installed engines of `ENGINES`, each computing the whole network: ours first.
+    """Name of an engine -> its network, for installed engines that compute the whole network.
 
-    Each has its own copy of the weights, so that none finds them in a cache filled by another. The
-    number of torch threads is unchanged: see `timing.one_thread`.
+    Ours comes first. Each network has its own copy of the weights, so that no network finds them in
+    a cache that another one has filled. The number of torch's threads is not changed; see
+    `timing.one_thread`.
     """
     installed = {name: engine for name, engine in ENGINES.items() if is_installed(*engine.packages)}
     return {name: engine.make(model) for name, engine in installed.items() if name != "incremental"}
 
 
 def left_out(needs: Mapping[str, tuple[str, ...]] = NEEDS) -> dict[str, str]:
-    """The rows whose packages are not installed, and which these are."""
+    """Row -> a message that names its missing packages, for rows with missing packages."""
     missing = {row: _missing(*packages) for row, packages in needs.items()}
     return {row: why for row, why in missing.items() if why}
 

@@ -1,6 +1,7 @@
 """The picture of `experiments/decisions.py`.
 
-It draws microseconds per decision against the number of events since the previous decision.
+The picture shows microseconds per decision against the number of events since the previous
+decision.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GREEN = "#009E73"
-"""Colour after Okabe and Ito. It and the next two are darker than theirs where words have it."""
+"""Green of Okabe and Ito's colours."""
 
 PINK = "#B5548F"
-"""Colour after Okabe and Ito."""
+"""Pink after Okabe and Ito. It is darker than theirs, because words are written in it."""
 
 ORANGE = "#B87A00"
-"""Colour after Okabe and Ito."""
+"""Orange after Okabe and Ito. It is darker than theirs, because words are written in it."""
 
 ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")
-"""Ways of calling onnxruntime, of which one is drawn."""
+"""Ways of calling onnxruntime. The faster one is drawn."""
 
 NETWORKS = {
     "incremental": ("async_tnt,\nincremental", ON),
@@ -58,8 +59,8 @@ WAYS = {
 def draw_decisions(report: dict[str, Any]) -> Figure:
     """Draw two panels with one logarithmic axis, for the network alone and for whole decisions.
 
-    A whole decision is the time from a packet to the decision. Lines have medians and quartiles in
-    blocks, and a name at their end. Medians from call to call are hollow.
+    A whole decision takes the time from a packet to the decision. Lines show medians and quartiles
+    in blocks, and have a name at their end. Hollow marks show medians from call to call.
     """
     figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)
@@ -82,8 +83,7 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     headline(figure, f"Time per decision, model {name} ({size})")
     words = (
         f"filled: medians and quartiles in blocks of {report['settings']['decisions_a_block']} "
-        "calls; "
-        "hollow: medians when backends alternate from call to call.\n"
+        "calls; hollow: medians when backends alternate from call to call.\n"
         f"{report['machine']['cpu']}, one thread."
     )
     write_at(figure, 0.73, 4.7, words, fontsize=SMALL, color=TEXT, va="bottom")
@@ -93,7 +93,10 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
 def draw_lines(
     axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]]
 ) -> list[tuple[float, str, str]]:
-    """Returns where each line ends, its words and its colour."""
+    """Draw a line for each row of `looks` that was timed.
+
+    Returns for each line the microseconds at its end, its words and its colour.
+    """
     counts = list(rows)
     shown = [name for name in looks if name in rows[counts[0]]["in_blocks"]["us"]]
     ends = []
@@ -105,7 +108,7 @@ def draw_lines(
             [us["median"] - us["q1"] for us in blocks],
             [us["q3"] - us["median"] for us in blocks],
         ]
-        # bars beside one another
+        # moved a little, so that the bars of lines stand beside one another
         at = [place + 0.03 * (k - len(shown) / 2) for place in range(len(counts))]
         strong = name in ("incremental", "ours")
         look = {"ms": 6, "lw": 2.4, "zorder": 3} if strong else {"ms": 4.5, "lw": 1.4, "zorder": 2}
@@ -124,6 +127,7 @@ def draw_lines(
 
 
 def lay_axis(axes: Any) -> None:
+    """Make the vertical axis logarithmic, with ticks at 1, 2 and 5 times powers of ten."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     ticks = [
@@ -135,9 +139,10 @@ def lay_axis(axes: Any) -> None:
 
 
 def _name_lines(axes: Any, ends: list[tuple[float, str, str]]) -> None:
-    """Words at the ends of lines, moved apart where they would overlap."""
+    """Write the words at the ends of lines, moved apart where they would overlap."""
     low, high = axes.get_ylim()
     height_points = axes.get_position().height * axes.get_figure().get_figheight() * 72
+    # factor on the logarithmic axis that is the height of a line of words
     a_line = (high / low) ** (1.25 * NORMAL / height_points)
     free = 0.0
     for value, label, colour in sorted(ends):

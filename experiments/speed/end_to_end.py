@@ -1,6 +1,6 @@
 """The time from a packet of new events to the decision.
 
-The stream is compared with computing the window's volume again.
+Our stream is compared with programs that compute the window's volume again for each decision.
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ WORK = {
     ),
 }
 """Way from a packet to a decision -> what it does."""
+
 NEEDS = {
     "ours_onnxruntime": ("onnx", "onnxruntime"),
     "torch": ("torch", "tnt_reference"),
     "eventcv_onnxruntime": ("eventcv", "onnx", "onnxruntime"),
 }
-"""Row of `WORK` -> packages."""
+"""Row of `WORK` -> packages that it needs."""
 
 
 class Stream:
-    """Ours: a Processor, which has the window's earlier events already."""
+    """Our stream: a Processor, which already has the window's earlier events."""
 
     def __init__(self, model: Model, classifier: Network | None = None) -> None:
         self._processor = Processor(model, classifier=classifier, start_us=0)
@@ -58,7 +59,7 @@ class Stream:
         old = len(moment.events) - moment.n_new
         if old > self._n:
             self._processor.push(moment.events[self._n : old])
-        # A driver hands over new memory each time.
+        # a camera's driver hands over new memory each time, too
         self._packet = moment.events[old:].copy()
         self._n = len(moment.events)
 
@@ -129,14 +130,15 @@ def bench_end_to_end(
     blocks: int,
     size: int,
 ) -> dict[str, Any]:
-    """Time decisions, from the call with a packet of `n_new` events.
+    """Times of decisions, from the call with a packet of `n_new` events to the decision.
 
     Parameters
     ----------
-    onnxruntime : how it is called fastest, of `backends.ONNXRUNTIME`; None where it is not
-        installed. Each row that has a network of it has one of its own.
+    onnxruntime : the faster way to call onnxruntime, of `backends.ONNXRUNTIME`; None if it is not
+        installed. Each row that uses onnxruntime has a network of its own.
 
-    Other parameters, what is returned and raised: as for `bench_network`. Ratios are over `ours`.
+    The other parameters, what is returned and what is raised are as for `bench_network`. Ratios are
+    to the time of `ours`.
     """
 
     def backends(alternating: bool) -> dict[str, Backend]:

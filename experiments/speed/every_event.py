@@ -1,4 +1,4 @@
-"""A decision after every event: how many a second."""
+"""How many decisions a second are made, with a decision after every event."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from experiments.speed.interleaved import WorkDiffers, check_logits
 from experiments.speed.timing import interleave, spread, work_clock
 
 PACKET = 1000
-"""Events of a packet, as `open_recording` makes them."""
+"""Number of events of a packet, as `open_recording` makes packets."""
 
 
 def bench_every_event(
@@ -25,24 +25,25 @@ def bench_every_event(
     rounds: int,
     n_events: int | None = None,
 ) -> dict[str, Any]:
-    """Time `Processor(model, every_events=1)` with its own network and with other classifiers.
+    """Times of `Processor(model, every_events=1)` with its own network and with other networks.
 
     The recordings are pushed in packets.
 
     Parameters
     ----------
     networks : dense networks, by name.
-    recordings : recordings; round k uses number k, for all backends.
-    n_events : number of events that are used, the first ones of each recording; None for all.
+    recordings : recordings. In round k, all backends get recording k.
+    n_events : number of first events of each recording that are used; None for all.
 
     Returns
     -------
-    dict : backend -> `us`, processor time of a decision, the event's own and the windows' ends
-        included; `a_second`, decisions; `ratio` over `ours`.
+    dict : backend -> `us`, `a_second` and `ratio`. `us` is the processor time of a decision in
+        microseconds. It includes the time of the event and of the ends of windows. `a_second` is
+        the number of decisions a second. `ratio` is `us` divided by the `us` of `ours`.
 
     Raises
     ------
-    WorkDiffers : they do not make the same decisions in the first recording.
+    WorkDiffers : the backends do not make the same decisions in the first recording.
     """
     cut = [events[:n_events] for events in recordings]
     packets = [
@@ -56,24 +57,24 @@ def bench_every_event(
     us = interleave(
         {name: _through(processor, packets) for name, processor in processors.items()}, rounds
     )
-    return {
-        name: {
-            "us": spread(values),
-            "a_second": 1e6 / float(np.median(values)),
-            **({} if name == "ours" else {"ratio": spread(values / us["ours"])}),
-        }
-        for name, values in us.items()
-    }
+    report: dict[str, dict[str, Any]] = {}
+    for name, values in us.items():
+        report[name] = {"us": spread(values), "a_second": 1e6 / float(np.median(values))}
+        if name != "ours":
+            report[name]["ratio"] = spread(values / us["ours"])
+    return report
 
 
 def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision]:
-    return [
-        decision for packet in packets for decision in processor.push(packet)
-    ] + processor.finish()
+    """All decisions on the packets of a recording."""
+    decisions: list[Decision] = []
+    for packet in packets:
+        decisions += processor.push(packet)
+    return decisions + processor.finish()
 
 
 def in_full(network: Network) -> Network:
-    """The network as a plain callable.
+    """The network as a plain function, which computes everything at each call.
 
     A Processor would let a CompiledClassifier compute only what has changed.
     """
@@ -81,10 +82,11 @@ def in_full(network: Network) -> Network:
 
 
 def _through(processor: Processor, packets: list[list[np.ndarray]]) -> Callable[[], float]:
+    """A function that pushes one recording through the processor, at each call the next one."""
     rounds = count()
 
     def run() -> float:
-        """Microseconds a decision."""
+        """Microseconds of a decision."""
         of_this_round = packets[next(rounds) % len(packets)]
         processor.reset()
         n = 0
@@ -98,6 +100,7 @@ def _through(processor: Processor, packets: list[list[np.ndarray]]) -> Callable[
 
 
 def _check_same(found: dict[str, list[Decision]]) -> None:
+    """Check that all backends make the same decisions."""
     n_decisions = {name: len(decisions) for name, decisions in found.items()}
     if len(set(n_decisions.values())) > 1:
         raise WorkDiffers(f"all must make the same number of decisions, got {n_decisions}")

@@ -1,9 +1,9 @@
 """Interleaved timing of backends: call by call, and in blocks of moments.
 
 Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each
-finds its weights further away than in a loop of its own; in blocks, each has the caches to itself,
-while a real program does other work in between. So both are measured; compare figures within one of
-them only.
+network finds its weights in a slower cache than in a loop of its own. In blocks, each network has
+the caches to itself; a real program does other work in between. So both ways are measured. Compare
+numbers of the same way only.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from experiments.speed.moments import Moment
 from experiments.speed.timing import latency, no_collector, spread
 
 LOGIT_TOLERANCE = 1e-4
-"""Largest difference between logits of the same moment; as a share of the largest logit where that
-is above 1."""
-
+"""Largest allowed difference between logits of the same moment. If the largest logit is above 1,
+the difference is divided by it."""
 
 N_WARM = 20
-"""Decisions at the beginning that are only compared."""
+"""Number of decisions at the beginning whose logits are compared and whose times are dropped."""
 
 
 class WorkDiffers(Exception):
@@ -32,16 +31,17 @@ class WorkDiffers(Exception):
 
 
 class Backend(Protocol):
-    """Makes decisions at moments in order of time."""
+    """An engine whose decisions are timed. It decides at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
-        """Not timed.
+        """Prepare the decision at a moment. This is not timed.
 
-        The previous call was for this moment's `before`, or the moment is that itself.
+        The previous call was for the moment of the previous decision, or for `moment.before`,
+        unless `moment` has no new events.
         """
 
     def decide(self) -> np.ndarray | None:
-        """Timed. Returns the logits; None if they cannot be compared."""
+        """The logits at the prepared moment; None if they cannot be compared. This is timed."""
 
 
 @dataclass
@@ -54,11 +54,11 @@ class Timed:
     largest_difference: float = 0.0
 
     def report(self) -> dict[str, Any]:
-        """The times of each backend, and their ratios to those of the first one.
+        """The times of each backend, and their ratios to those of the first backend.
 
-        "us" has the `latency` of each backend. "ratio" has the `spread` of its time over
-        that of the first one. This is a ratio for each decision or, if backends ran in
-        blocks, for each block's median.
+        "us" has the `latency` of each backend. "ratio" has the `spread` of its time divided by that
+        of the first backend. Ratios are taken for each decision or, if backends ran in blocks, for
+        the median of each block.
         """
         first = next(iter(self.us))
         parts = {
@@ -80,13 +80,14 @@ def compare(
     n_blocks: int,
     size: int,
 ) -> dict[str, Any]:
-    """Time backends in both modes, after they were warmed up and compared.
+    """Times of backends in both ways, after they were warmed up and compared.
 
     Parameters
     ----------
-    make : makes new backends; ratios are over the first. Called with True for `call_by_call`.
+    make : makes new backends. It is called with True for call by call, with False for blocks.
+        Ratios are to the time of the first backend.
     blocks : see `Moments.blocks`.
-    n_blocks, size : number of blocks, and of decisions in each.
+    n_blocks, size : number of blocks, and of decisions in each block.
 
     Returns
     -------
@@ -106,7 +107,7 @@ def compare(
 def timed(
     backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_by_call: bool
 ) -> Timed:
-    """Let the backends take turns at the moments, in blocks or call by call.
+    """The times of backends that take turns at the moments, in blocks or call by call.
 
     In blocks, every backend decides at all moments of a block before the next backend does, in
     an order that alternates. Call by call, every backend decides at a moment, then at the next
@@ -118,6 +119,7 @@ def timed(
     names = list(backends)
     with no_collector():
         for block in blocks:
+            # each turn: number of a moment in the block, and backends that decide at this moment
             if call_by_call:
                 turns = [(k, rng.permutation(names).tolist()) for k in range(len(block))]
             else:
@@ -142,7 +144,7 @@ def timed(
 
 
 def _catch_up(backend: Backend, moment: Moment) -> None:
-    """Make the decision before this one, if it was not the previous call."""
+    """Make the decision before this moment's new events, unless the previous call has made it."""
     if not moment.follows:
         backend.prepare(moment.before)
         backend.decide()
@@ -160,13 +162,13 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
 def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
     """The largest difference between logits of one moment.
 
-    It is a share of the largest logit where that is above 1.
+    If the largest logit is above 1, the difference is divided by it.
 
     where : the moment, for the error.
 
     Raises
     ------
-    WorkDiffers : it is more than LOGIT_TOLERANCE.
+    WorkDiffers : the difference is more than LOGIT_TOLERANCE.
     """
     if len(found) < 2:
         return 0.0

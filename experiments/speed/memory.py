@@ -9,7 +9,7 @@ import sys
 def resident_mb() -> float:
     """Resident memory of this process in MB (2^20 bytes).
 
-    If the system does not report it, this is its peak.
+    If the system does not report it, the peak of resident memory so far is returned.
     """
     try:
         with open("/proc/self/statm", encoding="ascii") as file:

@@ -1,4 +1,4 @@
-"""Moments at which backends decide, a fixed number of events apart: the same for all of them."""
+"""Moments at which backends decide, a fixed number of events apart. All backends get the same."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.volume.events import structured
 
 NEW_EVENTS = (1, 10, 100, 1300)
-"""New events between two decisions."""
+"""Numbers of new events between two decisions."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,10 @@ class Moment:
     events: np.ndarray
     """The window's events so far, `EVENT_DTYPE`."""
     n_new: int
-    """How many of them, the last ones, arrived after the previous decision."""
+    """Number of last events that arrived after the previous decision."""
     follows: bool = True
-    """Whether the previous moment is that of the previous decision. If not, `before` is."""
+    """Whether the previous decision was made at the moment before this one. If not, backends must
+    first decide at `before`."""
 
     @property
     def before(self) -> Moment:
@@ -39,8 +40,8 @@ class Moments:
 
     The windows follow each other, and time continues.
 
-    A window's first event precedes its first moment, so that opening a window is never part of a
-    decision.
+    A window's first event comes before its first moment, so that opening a window is never part of
+    a timed decision.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class Moments:
 
     Raises
     ------
-    ValueError : no window has that many events.
+    ValueError : no window has more than `n_new` events.
     """
 
     def __init__(self, windows: list[np.ndarray], window_us: int, n_new: int) -> None:
@@ -68,10 +69,11 @@ class Moments:
 
     @property
     def a_lap(self) -> int:
-        """Moments in one lap."""
+        """The number of moments in one lap, which is one pass over all windows."""
         return int(self._ends[-1])
 
     def __getitem__(self, i: int) -> Moment:
+        """The moment number `i` of the endless stream."""
         lap, i = divmod(i, self.a_lap)
         which = int(np.searchsorted(self._ends, i, side="right"))
         k = i - (int(self._ends[which - 1]) if which else 0)
@@ -118,7 +120,7 @@ def made_columns(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns t, x, y, p of n random events, in order of time.
 
-    They are uniform over sensor, polarity and [0, duration_us).
+    The events are uniform over sensor, polarity and [0, duration_us).
     """
     return (
         np.sort(rng.integers(0, duration_us, n)),
@@ -131,7 +133,7 @@ def made_columns(
 def on_sensor(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, sensor: tuple[int, int]
 ) -> np.ndarray:
-    """Events of those that lie on the sensor; places are rounded down to its pixels."""
+    """The events that lie on the sensor, as a structured array. Places are rounded down."""
     x = np.floor(x).astype(int)
     y = np.floor(y).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < sensor[0]) & (y < sensor[1])

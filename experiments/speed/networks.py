@@ -1,7 +1,6 @@
-"""The time of the network alone, at batch 1.
+"""The time of the network alone, at batch 1, some events after the previous decision.
 
-It decides some events after the previous decision. Ours computes what has changed, and others
-compute everything.
+Our incremental network computes what has changed. The other networks compute everything.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ class Feed:
         self._n = 0
 
     def go(self, moment: Moment) -> None:
+        """Bring the volume up to a moment."""
         if moment.start_us != self._start_us:
             self.volume.open(moment.start_us)
             self._start_us = moment.start_us
@@ -35,7 +35,7 @@ class Feed:
 
 
 class Incremental:
-    """Ours, which knows the volume of the previous decision."""
+    """Our network, which computes what has changed since the previous decision."""
 
     def __init__(self, model: Model, feed: Feed) -> None:
         self._feed = feed
@@ -72,22 +72,24 @@ def bench_network(
     blocks: int,
     size: int,
 ) -> dict[str, Any]:
-    """Time networks from a finished volume to its logits.
+    """Times of networks from a finished volume to its logits.
 
-    The volume has `n_new` events more than at the previous decision.
+    The volume has `n_new` events more than at the previous decision. `compare` tells what is
+    returned and raised. Our incremental network is named `incremental`; ratios are to its time.
 
     Parameters
     ----------
-    networks : what `dense_networks` makes.
+    networks : other networks, as `dense_networks` makes them.
     windows : see `Moments`.
-    blocks, size, what is returned and raised : see `compare`; `incremental` is ours.
+    blocks, size : number of blocks, and of decisions in each block.
 
     Raises
     ------
-    ValueError : no window has that many events.
+    ValueError : no window has more than `n_new` events.
     """
 
     def backends(one_feed: bool) -> dict[str, Backend]:
+        # Call by call, all networks are at the same moment, so one volume is enough.
         feed = Feed(model)
         made: dict[str, Backend] = {"incremental": Incremental(model, feed)}
         for name, network in networks.items():
@@ -98,9 +100,9 @@ def bench_network(
 
 
 def fastest(names: tuple[str, ...], results: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """The network that took the least time in blocks, over all rows together.
+    """The name of the network that took the least time in blocks, over all rows together.
 
-    None if none was timed.
+    It is None if no network was timed in all rows.
     """
     total = {
         name: sum(row["in_blocks"]["us"][name]["median"] for row in results.values())

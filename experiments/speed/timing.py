@@ -1,4 +1,4 @@
-"""Fair timing: cases run interleaved, warm, in one process; medians and quartiles are reported."""
+"""Fair timing: cases take turns in one warm process, and medians and quartiles are reported."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ import numpy as np
 
 from async_tnt.cli.bench import machine as this_machine
 
-# Work of milliseconds is timed by the processor time it takes, which other processes cannot
-# lengthen; on a quiet machine it equals the wall clock. Windows counts it in steps of 16 ms only.
-# Latencies, whose tail we report, use the wall clock.
+# Work of milliseconds is timed by the processor time that it takes. Other processes cannot lengthen
+# this time. On a quiet machine it equals the time of the wall clock. Windows counts processor time
+# in steps of 16 ms only, so the wall clock is used there. It is also used for latencies, whose tail
+# we report.
 work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
 
 
 def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
-    """Run every case once a round, A B A B ..., so that other load affects all of them equally.
+    """The measurements of cases that take turns.
+
+    Every round runs every case once, so that other load affects all cases equally.
 
     Parameters
     ----------
     cases : name -> a function that does the work once and returns what it measured.
-    rounds : how many times each is measured, after one round of warming up. Every other round runs
-        in reverse, so that none always follows the same neighbour.
+    rounds : number of rounds, after one round to warm up. Every other round runs in reverse, so
+        that no case always follows the same other case.
 
     Returns
     -------
@@ -59,7 +62,7 @@ def spread(values: np.ndarray) -> dict[str, float]:
 
 
 def latency(values: np.ndarray) -> dict[str, float]:
-    """`spread`, with the 99th percentile, of latencies."""
+    """The `spread` of latencies, and their 99th percentile."""
     return {**spread(values), "p99": float(np.percentile(values, 99))}
 
 
@@ -80,7 +83,10 @@ def no_collector() -> Iterator[None]:
 
 @contextmanager
 def one_thread(with_torch: bool) -> Iterator[None]:
-    """torch on one thread, as ours; the number of threads is restored afterwards."""
+    """A block in which torch uses one thread, as our engine does.
+
+    The number of torch's threads is restored afterwards. Without torch, nothing is changed.
+    """
     if not with_torch:
         yield
         return
@@ -95,12 +101,12 @@ def one_thread(with_torch: bool) -> Iterator[None]:
 
 
 def is_installed(*packages: str) -> bool:
-    """Whether all of them can be imported, without importing any."""
+    """Whether all packages can be imported. None of them is imported."""
     return all(importlib.util.find_spec(package) is not None for package in packages)
 
 
 def machine(*packages: str) -> dict[str, Any]:
-    """What a figure depends on: processor, load, versions (None where a package is missing)."""
+    """What a measured number depends on: processor, load, versions (None for a missing package)."""
     return this_machine() | {name: _version(name) for name in packages}
 
 

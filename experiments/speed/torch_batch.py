@@ -1,8 +1,8 @@
 """Batch processing in torch, as fast as we can make it: a window's volume from all its events.
 
-The reference in `tnt_reference` is written for reading, this one for timing: float32, no masks, one
-`scatter_add_` for all eight neighbours. It must give the same volume (a test compares it with the
-reference).
+The reference in `tnt_reference` is written for reading. This module is written for timing: it uses
+float32, no masks, and one `scatter_add_` for all eight neighbours. It must give the same volume; a
+test compares it with the reference.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import torch
 from async_tnt import TNTConfig
 
 BORDER_TOLERANCE = 1e-5
-"""How far an event may be outside of the grid, in pixels: the rounding of float32 at these sizes;
-see `tnt_reference`."""
+"""Distance in pixels by which an event may lie outside of the grid. It allows for the rounding of
+float32 at these sizes; see `tnt_reference`."""
 
 Columns = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 """Time, x, y and sign of each event."""
 
 
 def as_tensors(events: np.ndarray, start_us: int) -> Columns:
-    """Time since `start_us`, x, y (float32) and sign of structured events, shape (N,).
+    """Time since `start_us`, x, y and sign of structured events, each float32 of shape (N,).
 
-    The sign is float32, -1 or +1.
+    The sign is -1 or +1.
     """
     dt = torch.from_numpy((events["t"] - start_us).astype(np.float32))
     x = torch.from_numpy(events["x"].astype(np.float32))
@@ -35,11 +35,11 @@ def as_tensors(events: np.ndarray, start_us: int) -> Columns:
 
 
 class TorchBatch:
-    """Volumes from a whole window's events, about the running centroid, signed: those of `digits`.
+    """Volumes of whole windows, of the kind that `digits` sees: signed, about the running centroid.
 
     Raises
     ------
-    ValueError : a configuration of another kind.
+    ValueError : the configuration is of another kind.
     """
 
     def __init__(self, config: TNTConfig) -> None:
@@ -52,7 +52,7 @@ class TorchBatch:
         self.config = config
         width, height = config.grid
         plane = width * height
-        # a single bin has no later neighbour: both corners are its own, the second gets nothing
+        # A single bin has no later neighbour. Both corners are then in it; the second adds nothing.
         later = min(1, config.bins - 1)
         corners = itertools.product((0, later), (0, 1), (0, 1))
         self._corners = torch.tensor([b * plane + y * width + x for b, y, x in corners])[:, None]
@@ -65,7 +65,10 @@ class TorchBatch:
     def volume(
         self, dt: torch.Tensor, x: torch.Tensor, y: torch.Tensor, sign: torch.Tensor
     ) -> torch.Tensor:
-        """float32 (B, H, W) of one window's events, as `as_tensors` makes them."""
+        """The volume of one window's events, float32, shape (B, H, W).
+
+        The arguments are what `as_tensors` returns.
+        """
         config = self.config
         tau = dt * (config.t_max / config.window_us)
         n = torch.arange(1, len(dt) + 1, dtype=torch.float32)
@@ -75,7 +78,7 @@ class TorchBatch:
             centroid = z.cumsum(0, dtype=torch.float64).div_(n).float()
             place = (z - centroid) / tau + self._centre[side]
             clamped = place.clamp(0, config.grid[side] - 1)
-            # The comparison is False for nan, which is 0 / 0.
+            # a place is nan where it is 0 / 0; the comparison is then False
             keep &= (place - clamped).abs_() <= BORDER_TOLERANCE
             moved.append(clamped)
         # indices, computed once, are four times faster than four masks
@@ -86,15 +89,17 @@ class TorchBatch:
     def _splat(
         self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor
     ) -> torch.Tensor:
-        """Add all events to eight cells each, in one operation.
+        """The volume after all events are added to eight cells each, in one operation.
 
-        This is V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i).
+        Event i with sign s_i adds to V[b, y, x]
+
+            s_i k(b - b_i) k(y - v_i) k(x - u_i),    k(a) = max(0, 1 - |a|).
         """
         bins = self.config.bins
         width, height = self.config.grid
-        # The lower corner stays one short of the last cell, so that the upper one is in the volume:
-        # an event at u = W - 1 gives all of its weight to the upper. This saves the masks and a
-        # padded copy.
+        # The lower corner is at most the last cell but one, so that the upper corner is in the
+        # volume. An event at u = W - 1 gives all of its weight to the upper corner. This saves
+        # masks and a padded copy.
         b0 = b.floor().clamp_(max=max(bins - 2, 0))
         v0 = v.floor().clamp_(max=height - 2)
         u0 = u.floor().clamp_(max=width - 2)

@@ -1,10 +1,9 @@
 """What a decision has to compute.
 
-These are the cells of the volume that new events change, and the places of each layer that these
-cells reach.
-
-Reached places are computed; where their bits stay the same, nothing follows: the transform drops
-many events, and a change ends where every filter's ReLU stays at zero.
+This module counts the cells of the volume that new events change, and the places of each layer that
+changes reach. These places are computed. If the bits of a place stay the same, the change ends
+there. So fewer places are computed than the events could reach: the transform drops many events,
+and a change ends where the ReLU of every filter stays at zero.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from experiments.speed.work import work_of
 
 
 def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> dict[str, Any]:
-    """Count what a decision computes, in the mean over many moments.
+    """Counts of what a decision computes, as means over many moments.
 
-    For each number of new events there are `cells` of the volume that change, the places of
-    each layer that are computed, and `multiplications`. `whole` has the same counts for the
-    whole network.
+    For each number of new events, there are the number of `cells` of the volume that change, the
+    number of places of each layer that are computed, and the number of `multiplications`. `whole`
+    has the same counts for the whole network.
     """
     network = CompiledClassifier(model)
     network(np.zeros(model.config.shape))
@@ -32,12 +31,10 @@ def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> d
         "whole": {"cells": int(np.prod(model.config.shape)), **_counted(network)}
     }
     for n_new in NEW_EVENTS:
-        of_these = Moments(windows, model.config.window_us, n_new)
-        counts = [
-            found
-            for block in of_these.blocks(max(1, moments // 20), 20)
-            for found in _count(model, block)
-        ]
+        blocks = Moments(windows, model.config.window_us, n_new).blocks(max(1, moments // 20), 20)
+        counts: list[dict[str, int]] = []
+        for block in blocks:
+            counts += _count(model, block)
         result[str(n_new)] = {
             name: float(np.mean([found[name] for found in counts])) for name in counts[0]
         }
@@ -45,6 +42,7 @@ def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> d
 
 
 def _count(model: Model, block: list[Any]) -> list[dict[str, int]]:
+    """The counts at each moment of a block."""
     network = CompiledClassifier(model)
     feed = Feed(model)
     counts = []
@@ -60,9 +58,9 @@ def _count(model: Model, block: list[Any]) -> list[dict[str, int]]:
 
 
 def _counted(network: CompiledClassifier) -> dict[str, int]:
-    """Places computed by the last call, by layer, and multiplications.
+    """The number of places of each layer that the last call computed, and of multiplications.
 
-    Of a layer in parts, those of its first.
+    If a layer is computed in several steps, its places are those of the first step.
     """
     places: dict[str, int] = {}
     work = work_of(network)

@@ -15,16 +15,16 @@ from async_tnt.kernels.simd import LANES
 
 
 class StepWork(NamedTuple):
-    """What a step computes, at most."""
+    """What a step computes if all of it is out of date."""
 
     layer: str
     places: int
     products: int
-    """Multiplications at each place; none of a plain sum or mean."""
+    """Number of multiplications at each place. A plain sum or mean has none."""
 
 
 def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
-    """The network's steps, and how many places of each the last call computed."""
+    """The steps of a network, each with the number of places that the last call computed."""
     program = network.network.program
     weights = network.network.weights
     found = []
@@ -36,14 +36,15 @@ def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
 
 
 def _products(record: list[int], weights: np.ndarray) -> int:
-    """Multiplications at each place of a step."""
+    """The number of multiplications at each place of a step."""
     channels = record[P.OUT_CHANNELS]
     n_runs = record[P.N_RUNS]
     if record[P.KIND] == P.MIX:
         return n_runs * record[P.RUN_LENGTH] * channels * record[P.GROUPS]
     if record[P.KIND] != P.SUM:
         return 0
-    size = -(-channels // LANES) * LANES
+    size = -(-channels // LANES) * LANES  # channels are stored in whole vectors
     taps = weights[record[P.WEIGHTS] :][: n_runs * size].reshape(n_runs, size)[:, :channels]
+    # in a plain sum or mean, all weights are equal, and all places share them
     is_plain = record[P.PLACE_WEIGHTS] == 0 and bool((taps == taps[0, 0]).all())
     return 0 if is_plain else n_runs * channels

@@ -1,7 +1,4 @@
-"""The tables of accuracy.
-
-They are about the bundled model, its early decisions, and what makes motions hard to know.
-"""
+"""The tables of accuracy: of the model `digits`, its early decisions, and unseen motions."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from experiments.tables.parts import of_report, percent, results, table
 from experiments.thesis.numbers import with_range
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
-"""Part of the record of `digits` -> where its windows begin."""
+"""Part of the record of `digits` -> words for where its windows begin."""
 
 SHORT_US = (31_500, 52_500, 105_000)
 """Times since the window's start, in microseconds, that `accuracy` shows."""
@@ -27,7 +24,7 @@ HARDLY = 0.03
 
 
 def accuracy() -> str:
-    """`digits` in short: how often it is right, and how soon."""
+    """A short table of `digits`: how often it is right, and how soon."""
     found = results("early")
     rows = []
     for row in found["accuracy_against_time"]:
@@ -43,7 +40,7 @@ def accuracy() -> str:
 
 
 def digits_against_time() -> str:
-    """Share of test windows that `digits` decides correctly from their first milliseconds."""
+    """A table of the share of test windows that `digits` has right, by the time shown of them."""
     times = list(_record()["test"]["against_time_ms"])
     rows = []
     for part, words in WINDOWS.items():
@@ -54,7 +51,7 @@ def digits_against_time() -> str:
 
 
 def digits_confusion() -> str:
-    """How many windows of each class `digits` takes for each other one."""
+    """A table of the number of windows by their class and by the class that `digits` decides."""
     classes = load_model("digits").classes
     counts = _record()["test"]["confusion"]
     rows = [[name, *(str(n or "") for n in row)] for name, row in zip(classes, counts, strict=True)]
@@ -62,7 +59,7 @@ def digits_confusion() -> str:
 
 
 def digits_tried() -> str:
-    """The settings that were compared before `digits` was trained."""
+    """A table of the settings that were compared before `digits` was trained."""
     rows = []
     for run in _record()["tried"]:
         found = run["validation"]
@@ -96,7 +93,7 @@ def digits_tried() -> str:
 
 
 def digits_tried_motions() -> str:
-    """The trainings with motion re-synthesis, beside the model of before."""
+    """A table of the trainings with motion re-synthesis, and of the model bundled before them."""
     rows = []
     for number, run in enumerate(_record()["tried_with_motions"]):
         found = run["validation"]
@@ -132,7 +129,7 @@ def digits_tried_motions() -> str:
 
 @of_report("edges")
 def edges(found: dict[str, Any]) -> str:
-    """Events by the angle between edge and motion."""
+    """A table of the number of events, by the angle between gradient and motion."""
     angles = found["angles_deg"]
     rows = [
         [
@@ -150,20 +147,21 @@ def edges(found: dict[str, Any]) -> str:
 
 @of_report("edges")
 def polarity(found: dict[str, Any]) -> str:
-    """How signed and unsigned images of two saccades correlate."""
-    rows = [
-        [pair.replace("-", " and "), f"{of['angle_deg']:.0f}°"]
-        + [f"{of[name]:+.2f}".replace("0.", ".", 1) for name in ("signed", "expected", "unsigned")]
-        for pair, of in found["between_saccades"].items()
-    ]
+    """A table of the correlations between the images of two saccades, signed and unsigned."""
+    rows = []
+    for pair, row in found["between_saccades"].items():
+        correlations = [row[name] for name in ("signed", "expected", "unsigned")]
+        cells = [f"{value:+.2f}".replace("0.", ".", 1) for value in correlations]
+        rows.append([pair.replace("-", " and "), f"{row['angle_deg']:.0f}°", *cells])
     return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
 
 
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
-    """The share of a gap that re-synthesis closes, for each test of other motions.
+    """Test of other motions -> the share of the gap that re-synthesis closes.
 
-    The gap is between training on one direction and on all. A test without such a comparison,
-    or with hardly a gap, is left out.
+    The gap is between the accuracy of training on one direction and that of training on all. A test
+    with a gap of at most `HARDLY` is left out. Without training on all directions there are no
+    gaps.
     """
     if "all directions" not in accuracy:
         return {}
@@ -177,7 +175,10 @@ def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _unseen(found: dict[str, Any]) -> str:
-    """Means over seeds by what was trained on and tested in, with the range of several."""
+    """A table of accuracies, with a row for each way to train and a column for each test.
+
+    Cells have the mean over the seeds, and the range if there are several seeds.
+    """
     accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [
@@ -202,7 +203,7 @@ unseen_whole = of_report("unseen_whole")(_unseen)
 
 @of_report("found_paths")
 def found_paths(found: dict[str, Any]) -> str:
-    """A table of the windows in which a path is found, and of how often it is right."""
+    """A table of the shares of windows in which a path is found, and in which it is right."""
     rows = []
     for name, row in found["rows"].items():
         shares = (
@@ -214,15 +215,16 @@ def found_paths(found: dict[str, Any]) -> str:
 
 
 def _record() -> dict[str, Any]:
+    """The record of `digits`."""
     return dict(load_model("digits").record)
 
 
 @of_report("nothing")
 def nothing(found: dict[str, Any]) -> str:
-    """What stands in a window, and how often it is decided."""
+    """A table of how often windows are decided that show none of the classes."""
     rows = []
     for name, row in found["rows"].items():
-        # some sets were measured before these were asked
+        # some sets were measured by a version that did not report moments
         moments = row.get("at_some_moment", {})
         shares = (percent(moments[level]) if level in moments else "-" for level in ("0.9", "0.99"))
         rows.append([name, f"{row['windows']:,}", percent(row["decided"]), *shares])

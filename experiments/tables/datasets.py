@@ -1,4 +1,4 @@
-"""The tables of the field's data sets: N-CARS, and representations compared."""
+"""The tables of accuracies on the field's data sets, and of map models in scenes of them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,15 @@ REPRESENTATIONS = {
     **{name: (title.partition(",")[0], f"{name}-translated") for name, title in IMAGES.items()},
     "hats": ("HATS", "hats-translated"),  # measured by an earlier version
 }
-"""Recipe of N-CARS, without `equal_` -> title, row of the thesis' table."""
+"""Recipe of N-CARS, without `equal_` -> its title, and its row of the thesis' table."""
 
 
 @of_report("cars")
 def cars(report: dict[str, Any]) -> str:
-    """N-CARS' test part against time: mean over the networks, and their standard deviation."""
+    """A table of the accuracy on N-CARS' test part against time, by recipe.
+
+    It has the mean over the networks and their standard deviation.
+    """
     shown = report["shown_ms"]
     rows = []
     for name, found in report["recipes"].items():
@@ -54,14 +57,14 @@ def cars(report: dict[str, Any]) -> str:
 
 @of_report("cars")
 def cars_confidence(report: dict[str, Any]) -> str:
-    """What a level of confidence costs and buys on N-CARS.
+    """A table of accuracies and times on N-CARS, by the confidence at which windows are decided.
 
     The numbers are means over the networks of the first recipe.
     """
     tests = next(iter(report["recipes"].values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
-        # A level that no window reaches is left out.
+        # a level that no window of a network reaches is left out
         if any(level["median_ms"] is None for level in levels):
             continue
         names = ("decided", "accuracy", "window_accuracy", "median_ms", "p90_ms")
@@ -84,7 +87,7 @@ def cars_confidence(report: dict[str, Any]) -> str:
 
 
 def cars_in_short() -> str:
-    """The short version for README: networks on images of counts, without the transform."""
+    """README's table of N-CARS: accuracies of the recipe `tuned`, and its decisions a second."""
     found = results("cars")["recipes"]["tuned"]
     tests = found["tests"]
     shares = [_mean([test["against_time_ms"][ms] for test in tests]) for ms in SHORT_MS]
@@ -99,13 +102,14 @@ def cars_in_short() -> str:
 
 
 def _mean(accuracies: Sequence[float]) -> str:
+    """The text of a mean, such as .957."""
     return three_digits(float(np.mean(accuracies)))
 
 
 def representations() -> str:
-    """A table of the accuracy on N-MNIST and N-CARS, and what each recipe costs.
+    """A table of accuracies on N-MNIST and N-CARS and of times, by the input of the network.
 
-    It has the mean over the networks and their standard deviation.
+    Accuracies are means over the networks, with their standard deviation.
     """
     nmnist = results("table")["table"]
     recipes = results("cars")["recipes"]
@@ -127,7 +131,7 @@ def representations() -> str:
 
 @of_report("bare")
 def bare(report: dict[str, Any]) -> str:
-    """`train` without options: mean over the networks and their standard deviation."""
+    """A table of the accuracy of `train` without options: means and standard deviations."""
     rows = []
     for found in report["sets"].values():
         rows.append([found["title"], *_tested(found)])
@@ -136,7 +140,7 @@ def bare(report: dict[str, Any]) -> str:
 
 @of_report("from_pictures")
 def from_pictures(report: dict[str, Any]) -> str:
-    """A table of the same numbers for `train` given pictures alone."""
+    """A table of the accuracy of `train` on pictures alone: means and standard deviations."""
     rows = []
     for found in report["sets"].values():
         options = found["command"].partition("PICTURES ")[2]
@@ -155,21 +159,21 @@ def few_recordings(report: dict[str, Any]) -> str:
     It has a row for each number of real recordings of a class.
     """
     found: dict[int, dict[str, str]] = {}
-    for way, rows in report["ways"].items():
-        for row in rows:
-            shares = (
-                [network[key] for network in row["networks"]]
-                for key in ("window_accuracy", "accuracy")
-            )
-            found.setdefault(row["per_class"], {})[way] = " / ".join(
-                cell(summary(values)) for values in shares
-            )
-    rows = [[f"{n:,}", *(of.get(way, "-") for way in report["ways"])] for n, of in found.items()]
-    return table(["recordings of each class", *report["ways"]], rows)
+    for way, networks_by_number in report["ways"].items():
+        for row in networks_by_number:
+            windows = [network["window_accuracy"] for network in row["networks"]]
+            recordings = [network["accuracy"] for network in row["networks"]]
+            text = f"{cell(summary(windows))} / {cell(summary(recordings))}"
+            found.setdefault(row["per_class"], {})[way] = text
+    ways = list(report["ways"])
+    rows = []
+    for n, texts in found.items():
+        rows.append([f"{n:,}", *(texts.get(way, "-") for way in ways)])
+    return table(["recordings of each class", *ways], rows)
 
 
 def _tested(found: dict[str, Any]) -> list[str]:
-    """Networks, windows right, recordings right."""
+    """Three cells: the number of networks, the windows right, and the recordings right."""
     networks = found["networks"]
     shares = (
         cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy")
@@ -183,7 +187,10 @@ def _tested(found: dict[str, Any]) -> list[str]:
 
 @of_report("from_pictures")
 def moved_digits(report: dict[str, Any]) -> str:
-    """Digits in simulated motions that N-MNIST does not have: mean over the networks."""
+    """A table of accuracies on digits in simulated motions that N-MNIST does not have.
+
+    The numbers are means over the networks.
+    """
     rows = []
     for test, cases in report["sets"].get("nmnist", {}).get("simulated", {}).items():
         means = {case: float(np.mean(shares)) for case, shares in cases.items()}
@@ -201,9 +208,9 @@ def moved_digits(report: dict[str, Any]) -> str:
 
 @of_report("recipes")
 def recipes(report: dict[str, Any]) -> str:
-    """A table of the candidates of a default.
+    """A table of the candidates for the default volume.
 
-    It has the held-out windows right, at their ends and in the mean over ten moments.
+    It has the share of held-out windows right, at their ends and as a mean over ten moments.
     """
     sets = report["sets"]
     candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
@@ -221,7 +228,7 @@ def recipes(report: dict[str, Any]) -> str:
 
 
 def everywhere() -> str:
-    """F1 of map models, the bundled one's first, on scenes of real recordings."""
+    """A table of F1 in scenes of real recordings: of the bundled map model, then of all models."""
     found = results("everywhere")["models"]
     kinds = {
         "three": "three on 128x96, 30 pixels and more apart",
@@ -241,7 +248,7 @@ def everywhere() -> str:
 
 
 def car_scenes() -> str:
-    """F1 of a map model of N-CARS on scenes of its test part."""
+    """A table of F1 of a map model of N-CARS, in scenes of its test part."""
     (found,) = results("car_scenes")["models"]
     row = [f"{found['cars'][moment]:.3f}" for moment in ("end", "early")] + [
         f"{found['noise']:.2f}"

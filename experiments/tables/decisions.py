@@ -1,4 +1,4 @@
-"""The tables of what a decision costs, from decisions.json and incremental.json (four networks)."""
+"""The tables of the time of decisions and starts, and of the work in four networks."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ NETWORKS = {
     "openvino": "OpenVINO",
     "torch": "torch, eager",
 }
+"""Engine -> its title."""
+
 WAYS = {
     "ours": "async_tnt: `push`, `fire`",
     "ours_onnxruntime": "async_tnt's volume, onnxruntime's network",
     "torch": "torch: the whole window's volume, its network",
     "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
 }
+"""Way from a packet to a decision -> its title."""
+
 MAPS = ("maps", "places", "program")
-"""What is counted as memory of a network's maps, besides its weights."""
+"""Arrays of a network that count as memory of its maps, not of its weights."""
 
 decisions_machine = of_report("decisions")(about_machine)
 starts_machine = of_report("starts")(about_machine)
@@ -29,7 +33,7 @@ incremental_machine = of_report("incremental")(about_machine)
 
 
 def speed() -> str:
-    """The short version, for README."""
+    """README's table of speed."""
     found = results("decisions")
     names = {
         "incremental": "async_tnt",
@@ -55,6 +59,11 @@ def speed() -> str:
 
 
 def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
+    """A table of times by number of new events.
+
+    mode : "in_blocks" or "call_by_call".
+    names : what was timed -> its title.
+    """
     counts = list(rows)
     head = ["", *(f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
     body = []
@@ -66,7 +75,10 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
 
 
 def _cell(found: dict[str, Any], name: str) -> str:
-    """A cell with median, 99th percentile, and ratio to the first network; empty without times."""
+    """A cell with median, 99th percentile, and ratio to the first network. It may be empty.
+
+    It is empty if `name` was not timed.
+    """
     us = found["us"].get(name)
     if us is None:
         return ""
@@ -88,12 +100,13 @@ end_to_end_call_by_call = of_report("decisions")(
 
 @of_report("decisions")
 def end_to_end_in_blocks(found: dict[str, Any]) -> str:
+    """A table of the times from a packet to the decision, in blocks."""
     return _turns(found["end_to_end"], "in_blocks", WAYS)
 
 
 @of_report("decisions")
 def every_event(found: dict[str, Any]) -> str:
-    """Decisions a second."""
+    """A table of decisions a second, with a decision after every event."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
     body = [
         [
@@ -109,7 +122,7 @@ def every_event(found: dict[str, Any]) -> str:
 
 @of_report("starts")
 def starts(found: dict[str, Any]) -> str:
-    """Seconds to a first decision."""
+    """A table of the seconds to a first decision, by step."""
     names = {
         "ours_cold": "async_tnt, nothing compiled yet",
         "ours_warm": "async_tnt, compiled before",
@@ -132,7 +145,7 @@ def starts(found: dict[str, Any]) -> str:
 
 @of_report("incremental")
 def incremental_times(report: dict[str, Any]) -> str:
-    """Microseconds of a decision, in blocks, by network and new events."""
+    """A table of the microseconds of a decision, in blocks, by network and new events."""
     body = []
     for network, row in report["networks"].items():
         volume = " x ".join(map(str, row["volume"]))
@@ -148,7 +161,7 @@ def incremental_times(report: dict[str, Any]) -> str:
 
 @of_report("incremental")
 def incremental_work(report: dict[str, Any]) -> str:
-    """Multiplications of a decision, memory, and decisions a second."""
+    """A table of the multiplications of a decision, of memory, and of decisions a second."""
     body = []
     for network, row in report["networks"].items():
         counts = [

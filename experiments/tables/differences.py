@@ -1,7 +1,7 @@
 """The differences between rows of the thesis' experiment, and which of them hold.
 
-No table picks its differences: it has all of a question that hold by Holm's method, gains and
-losses.
+A difference holds if it is significant at .05 by Holm's method among all differences of its
+question. No table picks its differences: it has all that hold, gains and losses.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ Difference = dict[str, Any]
 
 
 def thesis_sets() -> str:
-    """The thesis' rows on each simulated set; bold where the difference to the Baseline holds."""
+    """A table of the thesis' rows on each simulated set.
+
+    An accuracy is bold if its difference to the Baseline holds.
+    """
     accuracies = results("table")["table"]
     held = {
         (difference["row"], difference["column"])
@@ -50,25 +53,20 @@ def thesis_sets() -> str:
 
 
 def effects() -> str:
-    """What the gain over the Baseline depends on; bold where it holds."""
-    found = results("table")["effects"]
-    columns = list(
-        dict.fromkeys((found_effect["trained_on"], found_effect["row"]) for found_effect in found)
-    )
+    """A table of the effects of factors on the gain over the Baseline. Those that hold are bold."""
+    by_name: dict[str, dict[tuple[str, str], Difference]] = {}
+    for found in results("table")["effects"]:
+        by_name.setdefault(found["effect"], {})[found["trained_on"], found["row"]] = found
+    columns = list(dict.fromkeys(column for found in by_name.values() for column in found))
     body = []
-    for effect in dict.fromkeys(found_effect["effect"] for found_effect in found):
-        of_effect = {
-            (found_effect["trained_on"], found_effect["row"]): found_effect
-            for found_effect in found
-            if found_effect["effect"] == effect
-        }
-        body.append([effect, *(_with_interval(of_effect[column]) for column in columns)])
+    for name, of_column in by_name.items():
+        body.append([name, *(_with_interval(of_column[column]) for column in columns)])
     head = ["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)]
     return table(head, body)
 
 
 def differences() -> str:
-    """Every pair of every question; bold where the difference holds."""
+    """A table of the differences of every pair of every question. Those that hold are bold."""
     found = {
         (difference["row"], difference["against"], difference["column"]): difference
         for difference in _differences()
@@ -88,14 +86,14 @@ def differences() -> str:
 
 
 def conclusions() -> str:
-    """All that holds, a table for each question."""
+    """All differences that hold, in a table for each question."""
     return "\n\n".join(answer(question, _differences()) for question in QUESTIONS)
 
 
 def answer(question: str, measured: Sequence[Difference]) -> str:
-    """A table of a question's differences that hold.
+    """A sentence on a question, and a table of its differences that hold.
 
-    It has a row for each pair and what it was trained on, and a column for each test.
+    The table has a row for each pair and what it was trained on, and a column for each test.
     """
     asked = [difference for difference in measured if difference["question"] == question]
     if not asked:
@@ -119,7 +117,7 @@ def answer(question: str, measured: Sequence[Difference]) -> str:
 
 
 def thesis_answers() -> str:
-    """The thesis' own question on the simulated sets: all that holds."""
+    """A table of all differences to the thesis' Baseline on simulated sets that hold."""
     asked = [
         difference
         for difference in _differences()
@@ -146,26 +144,28 @@ def thesis_answers() -> str:
 
 
 def holds(difference: Difference) -> bool:
-    """Whether a difference holds among all of its question, by Holm's method."""
+    """Whether a difference holds among all differences of its question, by Holm's method."""
     adjusted: float = difference["holm"]
     return adjusted < LEVEL
 
 
 def _differences() -> list[Difference]:
+    """All recorded differences."""
     return list(results("table")["differences"])
 
 
 def _test(column: str) -> str:
-    """Return "sim" of the column "1/sim"."""
+    """The test of a column, such as "sim" of "1/sim"."""
     return column.partition("/")[2]
 
 
 def _pair(row: str, against: str) -> str:
+    """The title of a difference: the titles of its two rows."""
     return f"{ROWS[row].title} - {ROWS[against].title}"
 
 
 def _with_interval(difference: Difference) -> str:
-    """A difference and its interval, such as +.165 (+.064 to +.266); bold where it holds."""
+    """The text of a difference, such as +.165 (+.064 to +.266). It is bold if it holds."""
     mean = signed(difference["mean"])
     shown = f"**{mean}**" if holds(difference) else mean
     return f"{shown} ({signed(difference['low'])} to {signed(difference['high'])})"

@@ -1,4 +1,4 @@
-"""Recorded results, and Markdown tables of them."""
+"""Parts of all tables: reading of recorded results, Markdown, and the text of numbers."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-"""The checkout."""
+"""Folder of the checkout."""
 
 RESULTS = ROOT / "experiments" / "results"
-"""The recorded runs."""
+"""Folder of the recorded runs."""
 
 Table = Callable[..., str]
+"""A function that makes a table in Markdown."""
 
 REPORT_OF: dict[Table, str] = {}
 """Table -> the recorded run that it is made of, without ".json"."""
 
 
 def results(name: str) -> dict[str, Any]:
-    """A recorded run."""
+    """The recorded run `name`."""
     return read_json(RESULTS / f"{name}.json")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A report. A ValueError names the file."""
+    """The report in a file. If the file is damaged, the ValueError names it."""
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except ValueError as error:
@@ -51,7 +52,7 @@ def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A Markdown table."""
+    """A table in Markdown."""
     cells = [list(head), *map(list, rows)]
     lines = [f"| {' | '.join(row)} |" for row in cells]
     lines.insert(1, "|---" * len(cells[0]) + "|")
@@ -59,17 +60,20 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def short(value: float) -> str:
-    """A number such as 11.3 or 1,024."""
+    """The text of a number, such as 11.3 or 1,024."""
     return f"{value:.1f}" if value < 20 else f"{value:,.0f}"
 
 
 def percent(share: float) -> str:
-    """A share such as 99.2 %."""
+    """The text of a share, such as 99.2 %."""
     return f"{100 * share:.1f} %"
 
 
 def about_machine(*reports: dict[str, Any]) -> str:
-    """What the reports, all from one machine, say of it: processor, load and versions."""
+    """A sentence on the machine of reports: processor, load and versions.
+
+    All reports must be from one machine; their loads may differ.
+    """
     about = reports[0]["machine"]
     loads = sorted({report["machine"]["load_1min"] for report in reports})
     load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"

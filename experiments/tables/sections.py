@@ -1,7 +1,4 @@
-"""The sections of RESULTS.md.
-
-They say how their tables were measured, and what each table shows.
-"""
+"""The sections of RESULTS.md: how tables were measured, and what each table shows."""
 
 from __future__ import annotations
 
@@ -47,11 +44,11 @@ class Section:
 
     Parameters
     ----------
-    title : its heading.
-    text : how it was measured, and what limits the numbers; Markdown.
-    command : what repeats it, without `python -m`; "" if nothing does.
+    title : heading of the section.
+    text : how the numbers were measured, and what limits them; Markdown.
+    command : command that measures them again, without `python -m`; "" if there is none.
     picture : name of a picture in docs/images; "" if there is none.
-    tables : a table -> what it shows.
+    tables : function that makes a table -> what the table shows.
     """
 
     title: str
@@ -388,7 +385,7 @@ SECTIONS = (
 
 
 def page() -> str:
-    """RESULTS.md."""
+    """The text of RESULTS.md."""
     parts = ["# All results", INTRODUCTION]
     for section in SECTIONS:
         parts.append(f"## {section.title}")

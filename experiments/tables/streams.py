@@ -1,7 +1,4 @@
-"""The tables of streams.
-
-They are about event volumes (bench.json), map models, threads, memory, network and loads.
-"""
+"""The tables of streams: event volumes, map models, threads, memory, network and loads."""
 
 from __future__ import annotations
 
@@ -14,13 +11,15 @@ WAYS = {
     "packet": "`UdpSource`, a packet",
     "decision": "`UdpSource`, `Processor`, a decision of `digits`",
 }
+"""Way of receiving datagrams -> its title."""
+
 map_machine = of_report("map_times")(about_machine)
 threads_machine = of_report("threads")(about_machine)
 udp_machine = of_report("network")(about_machine)
 
 
 def udp_latency() -> str:
-    """A table of the time from just before `send` until the program has something in hand."""
+    """A table of the time from just before `send` to the bytes, the packet or the decision."""
     found = results("network")["latency_us"]
     rows = []
     for name, words in WAYS.items():
@@ -31,7 +30,7 @@ def udp_latency() -> str:
 
 
 def udp_load() -> str:
-    """A minute of events, and how late the decisions are."""
+    """A table of counts and delays of decisions, for a minute of events over UDP."""
     run = results("network")["load"]
     late_us = run["delay_us"]
     counts = {
@@ -54,7 +53,7 @@ def udp_load() -> str:
 
 @of_report("bench")
 def volumes(found: dict[str, Any]) -> str:
-    """Nanoseconds per event, by the size of a packet."""
+    """A table of the nanoseconds per event by the size of a packet, and a sentence."""
     ways = {
         "single": "`update_one`",
         "packet_10_columns": "packets of 10, columns",
@@ -76,7 +75,7 @@ def volumes(found: dict[str, Any]) -> str:
 
 
 def memory() -> str:
-    """A sentence: growth after so many events."""
+    """A sentence on the growth of memory in a long stream."""
     found = results("memory")
     return (
         f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions "
@@ -86,7 +85,7 @@ def memory() -> str:
 
 @of_report("map_times")
 def map_times(found: dict[str, Any]) -> str:
-    """Medians and 99th percentiles of `map_times`."""
+    """A table of medians and 99th percentiles of the times of map models, by sensor."""
     models = found["models"]
     cases = {
         "one event": "one more event",
@@ -95,23 +94,20 @@ def map_times(found: dict[str, Any]) -> str:
         "dense": "the whole map",
         "onnxruntime_run": "onnxruntime, the whole map",
     }
-    rows = [
-        [
-            f"{name}, {sensor}",
-            *(
-                f"{short(of[case]['median'])} ({short(of[case]['p99'])})" if case in of else ""
-                for case in cases
-            ),
-        ]
-        for name, row in models.items()
-        for sensor, of in row["times_us"].items()
-    ]
+    rows = []
+    for name, model in models.items():
+        for sensor, times in model["times_us"].items():
+            row = [f"{name}, {sensor}"]
+            for case in cases:
+                us = times.get(case)
+                row.append("" if us is None else f"{short(us['median'])} ({short(us['p99'])})")
+            rows.append(row)
     return table(["microseconds", *cases.values()], rows)
 
 
 @of_report("map_times")
 def map_load(found: dict[str, Any]) -> str:
-    """Processor seconds for each second of the stream."""
+    """A table of processor seconds for each second of a stream, by number of objects."""
     models = found["models"]
     numbers = next(iter(models.values()))["load"]
     rows = [
@@ -124,7 +120,7 @@ def map_load(found: dict[str, Any]) -> str:
 
 @of_report("threads")
 def threads(found: dict[str, Any]) -> str:
-    """A table of the time of two streams one after the other, divided by that in two threads."""
+    """A table of how much faster two streams are in two threads than one after the other."""
     words = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",
@@ -141,7 +137,7 @@ def threads(found: dict[str, Any]) -> str:
 
 @of_report("sustained")
 def sustained(report: dict[str, Any]) -> str:
-    """Delays under load, and what becomes of more than the machine can do."""
+    """A table of delays and counts by load, with sentences on the sustained rate and machine."""
     rows = []
     for load, of in report["streams"].items():
         delays = (f"{ms:.2f}" for ms in (*of["delay_ms"].values(), of["worst_ms"]))

@@ -14,7 +14,7 @@ GUESS = 0.1
 """Accuracy of guessing among ten digits."""
 
 THESIS_COLUMNS = ("all/all", "1/all", "1/train", f"all/{THESIS_SET}", f"1/{THESIS_SET}")
-"""Columns of `thesis_rows`, each as "trained on/tested on"; so are the next three."""
+"""Columns of `thesis_rows`, each as "trained on/tested on"."""
 
 COLUMNS = ("all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim", "all/bell", "1/bell")
 """Columns of `comparison`."""
@@ -61,20 +61,20 @@ STEPS = (1_000, 3_000, 8_000, 20_000, 40_000, 60_000)
 
 
 def _accuracies() -> dict[str, Any]:
-    """The accuracies, by row and column."""
+    """Row -> column -> accuracies, from the recorded run."""
     return dict(results("table")["table"])
 
 
 def thesis_rows() -> str:
-    """The thesis' rows, in brackets its own numbers."""
+    """A table of the thesis' rows, with the thesis' own numbers in brackets."""
     return markdown_table(_accuracies(), ("thesis", "long"), THESIS_COLUMNS)
 
 
 def comparison() -> str:
     """The table of the comparison.
 
-    It has a row of what a network would have that is right in the motion it saw, and guesses in
-    others.
+    One row has the accuracies of a network that knows the motion it saw and guesses in all other
+    motions.
     """
     lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
     guessed = {
@@ -95,7 +95,7 @@ def _guessed(column: str) -> float:
 
 
 def unseen_motion() -> str:
-    """README's table of the networks that saw the first saccade only, and a sentence on it."""
+    """README's table of the networks that saw the first saccade only, below a sentence on it."""
     accuracies = _accuracies()
     n_seeds = len(accuracies["raw-translated"]["1/all"]["seeds"])
 
@@ -114,7 +114,7 @@ def unseen_motion() -> str:
 
 
 def against_time() -> str:
-    """Accuracy in unseen motions by the time since a window's start."""
+    """A table of the accuracy in unseen motions, by the time since a window's start."""
     accuracies = _accuracies()
     body = []
     for column in ("1/others", "1/sim"):
@@ -129,7 +129,7 @@ def against_time() -> str:
 
 
 def curves() -> str:
-    """How many held-out windows the long trainings have right, and their loss, by steps."""
+    """A table of held-out windows right and their loss, by steps of the long trainings."""
     body = []
     for name, history in results("table")["curves"].items():
         row, trained_on, _ = name.rsplit("-", 2)
@@ -143,7 +143,7 @@ def curves() -> str:
 
 @of_report("equivariance")
 def equivariance(report: dict[str, Any]) -> str:
-    """How far each layer is from moving along with the flow."""
+    """A table of the equivariance errors by input, layer and flow."""
     body = [
         [name, layer, *(f"{error:.2f}" for error in errors)]
         for name, of_layer in report["errors"].items()
@@ -153,12 +153,16 @@ def equivariance(report: dict[str, Any]) -> str:
 
 
 def resynthesis() -> str:
-    """Accuracies with re-synthesis, and of controls with as many steps."""
+    """A table of accuracies with re-synthesis, and of controls trained for as many steps."""
     return markdown_table(_accuracies(), ("motions",), MOTIONS_COLUMNS)
 
 
 def resynthesis_match() -> str:
-    """How well the recorded motion is matched, and how many paths were found."""
+    """A sentence on the paths that were found, and a table of statistics of their simulations.
+
+    The windows of the first saccade are simulated again along their own paths. The table compares
+    their statistics with those of the recorded windows.
+    """
     motions = results("table")["rows"]["raw-motions"]["motions"]["1"]
     match = motions["match"]
     body = []

@@ -1,7 +1,4 @@
-"""The recordings that the table trains and tests on.
-
-They are N-MNIST by saccade, and simulated motions by shard.
-"""
+"""The windows that the thesis' table trains and tests on: N-MNIST's, and simulated ones."""
 
 from __future__ import annotations
 
@@ -30,14 +27,14 @@ from experiments.moving_set.manifest import MovingMnist
 from experiments.thesis.rows import SETS
 
 OFFICIAL = (60_000, 10_000)
-"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set,
-index n - 1."""
+"""Numbers of recordings in N-MNIST's official Train and Test. Recording n of Train shows the image
+with index n - 1 of MNIST's training set."""
 
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
-"""The one saccade of each digit in `confounded`."""
+"""Index of the only saccade in which `confounded` shows a digit, for each of the ten digits."""
 
 VALIDATION_SEED = 0
-"""Seed of the split: the same digits are held out, or left out, in every row and for every seed."""
+"""Seed of the split. The same recordings are held out in every row and for every seed."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class RealData:
 
 @dataclass(frozen=True)
 class RealFolder:
-    """Where N-MNIST is, and how much of it is used.
+    """The folder of N-MNIST, and the part of it that is used.
 
     Parameters
     ----------
@@ -75,7 +72,7 @@ class RealFolder:
     validation: float = 0.1
     per_digit: int | None = None
 
-    @lru_cache(maxsize=1)  # noqa: B019  (frozen, and one is enough)
+    @lru_cache(maxsize=1)  # noqa: B019  (the class is frozen, and one folder is enough)
     def read(self) -> RealData:
         """Read both folders, once in a process.
 
@@ -109,11 +106,10 @@ class RealFolder:
 def shown_test_images(names: Sequence[str]) -> np.ndarray:
     """The indices of MNIST's test images that recordings show, int64, increasing.
 
-    They follow from the recordings' names, such as `3/60026.bin`.
-
-    Number n of the official Train shows image n of MNIST's training set. Where a set is split
-    differently, official test recording n is numbered 60,000 + n; it shows image n of MNIST's test
-    set, index n - 1.
+    The indices follow from the numbers in the recordings' names, such as `3/60026.bin`. Numbers up
+    to 60,000 are of the official Train, and show images of MNIST's training set. Sets that are
+    split differently number the official test recording n as 60,000 + n. It shows the image with
+    index n - 1 of MNIST's test set.
     """
     numbers = np.array(recording_numbers(names), np.int64)
     of_test = numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]
@@ -122,9 +118,10 @@ def shown_test_images(names: Sequence[str]) -> np.ndarray:
 
 
 def trained_on(windows: Windows, name: str) -> Windows:
-    """The windows that a network sees which is trained on `all`, `1` or `confounded`.
+    """The windows for a network that is trained on `name`.
 
-    `1` is the first saccade.
+    name : "all", all windows; "1", those of the first saccade; or "confounded", those of one
+        saccade for each digit.
     """
     if name == "1":
         return windows[saccade(windows) == 0]
@@ -134,10 +131,10 @@ def trained_on(windows: Windows, name: str) -> Windows:
 
 
 def spanned(windows: Windows, n_events: int) -> Windows:
-    """The same windows with their first `n_events`, a recording each.
+    """Windows with the first `n_events` of the given windows, each in a recording of its own.
 
-    Times are scaled so that the first event is at 0 and the last one at the end of the window,
-    as in the thesis.
+    Times are scaled so that the first event is at 0 and the last event at the end of the window, as
+    in the thesis.
     """
     columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     for i in range(len(windows)):
@@ -164,7 +161,7 @@ def make_set(
 
     Raises
     ------
-    ValueError : there are not so many.
+    ValueError : there are fewer than `n_images` such images.
     """
     kind, dark = SETS[name]
     unseen = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
@@ -180,13 +177,14 @@ def make_set(
 
 
 def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
-    """The name of the motion and the windows of each shard of a set.
+    """For each shard of a set, the name of its motion and its windows.
 
-    Recordings are named by their image.
+    The name of a recording is the index of its image.
 
     Raises
     ------
-    ValueError, FileNotFoundError : damaged or missing shards.
+    ValueError : a shard is damaged.
+    FileNotFoundError : a shard is missing.
     """
     for shard in made:
         columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}

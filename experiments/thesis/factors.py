@@ -1,11 +1,10 @@
 """Which properties of a motion the gain of the transform depends on.
 
-The simulated sets are a factorial experiment.
-
-Eight sets and three distances are all combinations of four factors. The effect of one is the
-difference between its two levels (between 8 and 3 px) in what a row gains over the Baseline, in the
-mean over all other factors. Of two together: half of the difference that one makes to the effect of
-the other.
+The simulated sets are a factorial experiment: eight sets and three distances are all combinations
+of four factors. The gain is the accuracy of a row minus that of the Baseline. The effect of a
+factor is the gain at its high level minus the gain at its low level, as a mean over all other
+factors. The levels of the distance are 8 px and 3 px. The effect of two factors together is half of
+the difference that one factor makes to the effect of the other.
 """
 
 from __future__ import annotations
@@ -31,57 +30,59 @@ FACTORS: dict[str, Callable[[str, bool, int], int]] = {
     "speed of a saccade, not constant": lambda kind, dark, px: _level(kind.startswith("bell")),
     "8 px, not 3 px": lambda kind, dark, px: {3: -1, 5: 0, 8: 1}[px],
 }
-"""Factor -> its level in a set and at a distance: -1 or 1; 0 where it is not compared."""
+"""Factor -> function of a set's motions, its darkness and a distance that gives the factor's level.
+
+The level is -1 or 1, or 0 if the distance is not compared."""
 
 GAINS = tuple(itertools.product(("all", "1"), ("thesis-tnt", "thesis-regress")))
-"""What is trained on, and the row whose gain is looked at."""
+"""Gains that are studied: what is trained on, and the row."""
 
 AGAINST = "thesis-baseline"
-"""The row over which they gain."""
+"""The row whose accuracy is subtracted in a gain."""
 
 
 def effects(right: Right) -> list[dict[str, Any]]:
     """The mean gain of each of `GAINS`, and the effect of each factor and pair of factors.
 
-    A gain whose networks are not there is left out.
+    A gain is left out if fewer than two seeds have all of its networks.
 
     Returns
     -------
-    Dictionaries with "trained_on", "row", "against", "effect" (factors, or "mean"), and what
-    `numbers.differences` has.
+    Dictionaries with "trained_on", "row", "against", "effect" (a factor, a pair of factors, or
+    "mean"), "seeds", and what `numbers.interval` and `numbers.holm` give.
     """
-    sets = {name: (kind, dark) for name, (kind, dark) in SETS.items() if kind != "beyond"}
+    sets = [name for name, (kind, _) in SETS.items() if kind != "beyond"]
     cells = list(itertools.product(sets, DISTANCES_PX))
-    levels = {
-        name: np.array([level(*sets[s], px) for s, px in cells]) for name, level in FACTORS.items()
-    }
-    pairs = {
-        " and ".join(pair): levels[pair[0]] * levels[pair[1]]
-        for pair in itertools.combinations(levels, 2)
-    }
+    levels: dict[str, np.ndarray] = {}  # shape (cells,)
+    for factor, level_of in FACTORS.items():
+        levels[factor] = np.array([level_of(*SETS[name], px) for name, px in cells])
+    for first, second in itertools.combinations(FACTORS, 2):
+        levels[f"{first} and {second}"] = levels[first] * levels[second]
     found: list[dict[str, Any]] = []
     for on, row in GAINS:
-        columns = [(name, f"{on}/{s}") for name in (row, AGAINST) for s in sets]
+        columns = [(name, f"{on}/{tested}") for name in (row, AGAINST) for tested in sets]
         seeds = set.intersection(*(set(right.get(column, {})) for column in columns))
         if len(seeds) < 2:
             continue
-        gains = np.stack(
-            [[_gain(right, row, f"{on}/{s}", px, k) for k in sorted(seeds)] for s, px in cells]
-        )
-        names = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
-        found.append({**names, "effect": "mean", **interval(gains.mean(0))})
-        for effect, level in (levels | pairs).items():
-            # that of two factors together is half of the difference
-            contrast = level / np.sum(level == 1)
-            found.append({**names, "effect": effect, **interval(np.tensordot(contrast, gains, 1))})
-    for effect, p in zip(found, holm([effect["p"] for effect in found]), strict=True):
-        effect["holm"] = p
+        gains_of_cells = []
+        for name, px in cells:
+            column = f"{on}/{name}"
+            gains_of_cells.append([_gain(right, row, column, px, seed) for seed in sorted(seeds)])
+        gains = np.stack(gains_of_cells)  # (cells, seeds, digits)
+        about = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
+        found.append({**about, "effect": "mean", **interval(gains.mean(0))})
+        for effect, level in levels.items():
+            # the mean gain at level 1 minus that at level -1, (seeds, digits)
+            contrast = np.tensordot(level / np.sum(level == 1), gains, 1)
+            found.append({**about, "effect": effect, **interval(contrast)})
+    for result, p in zip(found, holm([result["p"] for result in found]), strict=True):
+        result["holm"] = p
     return found
 
 
 def _gain(right: Right, row: str, column: str, px: int, seed: int) -> np.ndarray:
-    """The gain of each digit over the motions of one distance."""
-    # these have the same order in every set
+    """The gain of a row for each digit, over the motions of one distance."""
+    # motions have the same order in every set
     motions = [motion.index for motion in motions_of() if motion.distance_px == px]
     share = shares(right[row, column][seed][motions])
     share_against = shares(right[AGAINST, column][seed][motions])

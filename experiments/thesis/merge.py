@@ -1,10 +1,10 @@
 """Put the results of some rows of the table into a file that has more rows.
 
-A day of training need not be one run.
+So a day of training can be several runs.
 
-What was measured again replaces what is there: a row's numbers in a column, a difference, an
-effect. p is adjusted again over all that a question then has. A difference from numbers that are
-replaced is left out.
+A new result replaces the old one: a row's numbers in a column, a difference, an effect. An old
+difference is left out if one of its numbers is replaced. p is adjusted again over all differences
+that a question then has.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ BY_NAME = ("rows", "validation", "curves")
 """Parts of a record that have an entry for each row or network."""
 
 QUESTION = ("question", "row", "against", "column")
-"""What tells one difference from another."""
+"""Entries that identify a difference."""
 
 EFFECT = ("trained_on", "row", "effect")
-"""What tells one effect from another."""
+"""Entries that identify an effect."""
 
 
 def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """The record `there` with the results of `new`; neither is changed.
+    """The record `there` with the results of `new`. Neither of the two is changed.
 
-    Its settings and machine are those of `new`.
+    The settings and the machine are those of `new`.
     """
     record = {**there, **new}
     record |= {name: {**there[name], **new[name]} for name in BY_NAME}
@@ -55,7 +55,7 @@ def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def _merged_differences(there: dict[str, Any], new: dict[str, Any]) -> list[dict[str, Any]]:
-    """The differences of both, question by question, without those of numbers that are replaced."""
+    """The differences of both records by question, without old ones of replaced numbers."""
     again = {(row, column) for row, columns in new["table"].items() for column in columns}
     kept = []
     for difference in there["differences"]:
@@ -87,10 +87,11 @@ def _replaced(
 
 
 def _named(result: dict[str, Any], names: tuple[str, ...]) -> tuple[Any, ...]:
+    """The values of some entries of a result."""
     return tuple(result[name] for name in names)
 
 
 def _adjusted(of_question: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The differences of a question, with p adjusted over all of them."""
+    """The differences of a question, or all effects, with p adjusted over all of them."""
     adjusted = holm([difference["p"] for difference in of_question])
     return [{**difference, "holm": p} for difference, p in zip(of_question, adjusted, strict=True)]

@@ -1,18 +1,15 @@
-"""The table's numbers.
+"""The numbers of the thesis' table: means over seeds, differences of rows, and tables of them.
 
-They are accuracies brought together over seeds, differences of rows with their intervals, and
-tables.
-
-Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and
+Differences are taken seed by seed and digit by digit. Both are drawn at random: other seeds and
 other digits would give other numbers. With d the (S, I) differences of S seeds and I digits, the
 variance of their mean is estimated by
 
-    var_seeds(mean over digits) / S + var_digits(mean over seeds) / I
+    var_seeds(mean of d over digits) / S + var_digits(mean of d over seeds) / I
 
-which a bootstrap that draws seeds and digits independently has where both are many (Owen 2007, The
-Pigeonhole Bootstrap, arXiv:0712.1111). Intervals and p are Student's, with Satterthwaite's degrees
-of freedom, as few seeds ask for. Of all differences of a question together, in all of its columns,
-those are claimed that hold by Holm's method at .05.
+A bootstrap that draws seeds and digits independently has this variance, if both are many (Owen
+2007, The Pigeonhole Bootstrap, arXiv:0712.1111). Because seeds are few, intervals and p are
+Student's, with Satterthwaite's degrees of freedom. All differences of a question, in all of its
+columns, are tested together by Holm's method. We claim the differences that hold at .05.
 """
 
 from __future__ import annotations
@@ -25,17 +22,18 @@ import numpy as np
 from experiments.thesis.rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
 
 Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
-"""(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has
-no window."""
+"""(row, column) -> seed -> which windows are right: int8, (motions, digits). 1 is right, 0 is
+wrong, and -1 means that the digit has no window in the motion."""
+
 LEVEL = 0.05
+"""Level of significance of Holm's method."""
+
 UNDRAWN = tuple(SETS)[1:]
-"""Sets of which no figure tells one motion from another."""
+"""Sets whose accuracies by motion are in no figure. They are left out of the results."""
 
 
 def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """The mean, standard deviation and seeds' accuracies of each row and column.
-
-    Each column also has the means of each motion.
+    """The accuracies of each row and column over its seeds.
 
     Parameters
     ----------
@@ -44,9 +42,9 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
     Returns
     -------
     {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion":
-    {motion: mean}, "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the
-    table's order; motions of `UNDRAWN` left out. The deviation is the sample's (n - 1), None for a
-    single seed.
+    {motion: mean}, "against_time_ms": {ms: mean}}}}. Rows and columns are those that occur, in the
+    table's order. The motions of sets in `UNDRAWN` are left out. The deviation is the sample's
+    (n - 1); it is None for a single seed.
     """
     runs = sorted(runs, key=lambda run: int(run["seed"]))
     table: dict[str, Any] = {}
@@ -70,7 +68,7 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
-    """The mean over the seeds of each entry of `name`."""
+    """The mean over the seeds of each entry in the dictionary `name` of the results."""
     parts = [part[name] for part in found.values()]
     return {entry: round(float(np.mean([part[entry] for part in parts])), 5) for entry in parts[0]}
 
@@ -84,7 +82,7 @@ def in_order(columns: Iterable[str]) -> list[str]:
 
 
 def summary(values: Sequence[float]) -> dict[str, float | None]:
-    """Mean and sample deviation (n - 1), for `cell`."""
+    """Mean and sample deviation (n - 1) of numbers, which `cell` makes into text."""
     return {
         "mean": float(np.mean(values)),
         "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None,
@@ -92,7 +90,10 @@ def summary(values: Sequence[float]) -> dict[str, float | None]:
 
 
 def shares(right: np.ndarray) -> np.ndarray:
-    """The share of each digit's windows that are right."""
+    """The share of each digit's windows that are right, shape (digits,).
+
+    right : (motions, digits), see `Right`.
+    """
     there = right >= 0
     return np.where(there, right, 0).sum(0) / there.sum(0)
 
@@ -103,25 +104,27 @@ def interval(values: np.ndarray) -> dict[str, float]:
     There are S seeds and I digits, at least two each. The dict has "mean", its 95 % interval
     from "low" to "high", and "p".
     """
-    # scripts that only print tables need no SciPy
+    # imported here, because scripts that only print tables need no SciPy
     from scipy import stats
 
     mean = float(values.mean())
     # The variance of the mean has two parts: that of digits, then that of seeds.
-    parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]
+    sizes = [values.shape[1], values.shape[0]]
+    parts = [values.mean(axis).var(ddof=1) / sizes[axis] for axis in (0, 1)]
     error = float(sum(parts)) ** 0.5
     if error == 0.0:
         return {"mean": mean, "low": mean, "high": mean, "p": float(mean == 0.0)}
-    freedom = error**4 / sum(part**2 / (values.shape[1 - a] - 1) for a, part in enumerate(parts))
+    # Satterthwaite's degrees of freedom
+    freedom = error**4 / sum(part**2 / (n - 1) for part, n in zip(parts, sizes, strict=True))
     half = float(stats.t.ppf(0.975, freedom)) * error
     p = float(2 * stats.t.sf(abs(mean) / error, freedom))
     return {"mean": mean, "low": mean - half, "high": mean + half, "p": p}
 
 
 def differences(right: Right) -> list[dict[str, Any]]:
-    """Differences of the pairs in `QUESTIONS`.
+    """The differences of the pairs in `QUESTIONS`, with their intervals.
 
-    They are in each column that both rows have with at least two seeds.
+    A pair has a difference in each column in which both rows have at least two seeds in common.
 
     Returns
     -------
@@ -151,7 +154,7 @@ def differences(right: Right) -> list[dict[str, Any]]:
 def holm(p: Sequence[float]) -> list[float]:
     """The adjusted p of several hypotheses (Holm 1979).
 
-    Hypotheses with an adjusted p below a level are rejected together at that level.
+    All hypotheses whose adjusted p is below a level can be rejected together at that level.
 
     Examples
     --------
@@ -169,7 +172,7 @@ def holm(p: Sequence[float]) -> list[float]:
 def markdown_table(
     table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()
 ) -> str:
-    """A table in Markdown of the rows of groups, in these columns or in all.
+    """A table in Markdown of the rows of some groups, in some columns or in all.
 
     The thesis' numbers follow in brackets.
     """
@@ -188,7 +191,7 @@ def markdown_table(
 
 
 def cell(part: dict[str, Any] | None) -> str:
-    """.957 ± .004, or a dash where nothing was measured."""
+    """The text of an accuracy, such as .957 ± .004. It is a dash if nothing was measured."""
     if part is None:
         return "-"
     deviation = "" if part["deviation"] is None else f" ± {short(part['deviation'])}"
@@ -196,12 +199,15 @@ def cell(part: dict[str, Any] | None) -> str:
 
 
 def short(number: float) -> str:
-    """.957"""
+    """The text of a number, such as .957."""
     return f"{number:.3f}".replace("0.", ".", 1)
 
 
 def with_range(numbers: Sequence[float]) -> str:
-    """.957, or of several .957 (.951 to .963)"""
+    """The text of the mean of numbers and their range, such as .957 (.951 to .963).
+
+    A single number has no range.
+    """
     mean = short(float(np.mean(numbers)))
     if len(numbers) == 1:
         return mean
@@ -209,5 +215,5 @@ def with_range(numbers: Sequence[float]) -> str:
 
 
 def signed(number: float) -> str:
-    """+.165"""
+    """The text of a number with its sign, such as +.165."""
     return f"{number:+.3f}".replace("0.", ".", 1)

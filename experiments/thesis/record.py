@@ -24,16 +24,16 @@ def record_of(
     iterations: int | None,
     command: str,
 ) -> dict[str, Any]:
-    """What `results/table.json` has, from the results of all networks.
+    """The content of `results/table.json`, from the results of all networks.
 
     Parameters
     ----------
     runs : the networks.
-    results : theirs, by `runs.run_networks`.
+    results : results of the networks, by `runs.run_networks`.
     right : which windows the networks had right.
-    data, simulated : what they were trained and tested on.
+    data, simulated : data that the networks were trained and tested on.
     iterations : steps of every network; None: those of its row.
-    command : what repeats this.
+    command : command that repeats the experiment.
     """
     table = aggregate(results)
     by_name = {
@@ -64,7 +64,7 @@ def record_of(
 
 
 def _about(name: str, results: Sequence[dict[str, Any]], iterations: int | None) -> dict[str, Any]:
-    """How the networks of a row were trained."""
+    """The settings with which the networks of a row were trained."""
     row = ROWS[name]
     motions = {
         result["trained_on"]: result["motions"]

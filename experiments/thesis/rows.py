@@ -1,30 +1,32 @@
 """The thesis' experiment: which networks are trained, how, and which of them are compared.
 
-All was set beforehand.
+All of this was fixed before the first network was trained.
 
-A row is one way from events to a network's input, and what it is trained on. All rows share the
-network and the optimizer. Besides the thesis' own three rows, the comparison crosses
+A row is one way from events to a network's input, and what the network is trained on. All rows
+share the network and the optimizer. The groups `thesis` and `long` have the thesis' own three rows.
+The group `comparison` combines
 
-- the input: the event volume as it is (raw), or TNT about the image centre, the running centroid, a
+- inputs: the event volume as it is (raw), or TNT about the image centre, the running centroid, a
   regressed landmark, or the fitted line with its flow removed,
-- polarity: signed, or not, or split,
-- augmentation: events are thinned at random, which moves nothing, and windows are moved by up to 4
-  whole pixels or not. The thesis moves them (it names no size) for its regressor alone; what one
-  row may have, every row may have.
+- polarity: signed, unsigned or split,
+- augmentation: windows are moved by up to 4 whole pixels, or not. In both cases events are thinned
+  at random, which moves nothing. The thesis moves windows for its regressor alone, and does not say
+  how far. Here windows are moved for all inputs, so that the comparison is fair.
 
-t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training
-motion. The thesis has B - 1 = 8, as its own rows have, and some others.
+In the comparison t_max is 2. Of 2, 3, 4 and 8, it has the lowest loss on held-out digits of the
+training motion. The thesis has t_max = B - 1 = 8. Its own rows and some others have it here, too.
 
-The thesis scales time from a window's first event to its last, which rows of group `spans` do, over
-the whole saccade or over 1,000 events. Other groups: event images, and TNT about `window`; and rows
-with motion re-synthesis, an augmentation that the thesis does not have. They show what recordings
-of one motion can teach, not what a network infers by itself; their controls are trained for as many
-steps.
+The thesis scales time from a window's first event to its last. Rows of the group `spans` do this,
+over the whole saccade or over 1,000 events. The group `representations` has event images, and TNT
+about `window`. The group `motions` has motion re-synthesis, an augmentation that the thesis does
+not have. Its rows show what recordings of one motion can teach, not what a network infers by
+itself. Its controls are trained for as many steps.
 
 References
 ----------
-Wang 2019, arXiv:1911.12801, the table of N-MNIST and N-MOVING-MNIST: the numbers in `THESIS`.
-"1/train" there: trained on the first saccade, tested on all three saccades of the training digits.
+Wang 2019, arXiv:1911.12801, the table of N-MNIST and N-MOVING-MNIST has the numbers in `THESIS`.
+Its "1/train" means: trained on the first saccade, tested on all three saccades of the training
+digits.
 """
 
 from __future__ import annotations
@@ -39,25 +41,25 @@ from async_tnt.training.moved_windows import MotionSettings
 from async_tnt.volume.config import Representation
 
 T_MAX = 2.0
-"""Scaled time at a window's end, of all rows but the thesis' own and those that say so."""
+"""Scaled time at a window's end, in all rows but the thesis' own and those named "t8"."""
 
 T_MAX_THESIS = 8.0
-"""Scaled time at a window's end, of the thesis' rows."""
+"""Scaled time at a window's end, in the thesis' rows and in those named "t8"."""
 
 STEPS = 3_000
-"""Steps of the optimizer, of the comparison's rows."""
+"""Steps of the optimizer in most rows."""
 
 STEPS_MORE = 8_000
-"""Steps of the optimizer, of the thesis' rows and of those with re-synthesis."""
+"""Steps of the optimizer in the thesis' rows and in those with re-synthesis and their controls."""
 
 STEPS_THESIS = 60_000
-"""Steps of the optimizer in the thesis."""
+"""Steps of the optimizer in the thesis, and in the rows of group `long`."""
 
 ALL_EVENTS = 1_000_000
-"""More events than a window has: time is scaled from its first to its last."""
+"""Span of a row whose windows keep all events. It is more than any window has."""
 
 WINDOW_EVENTS = 1_000
-"""Events of a window that ends after so many."""
+"""Span of a row whose windows end after this number of events."""
 
 TRANSLATE_PX = 4
 """Largest translation of a training window, in pixels."""
@@ -65,10 +67,10 @@ TRANSLATE_PX = 4
 AS_RECORDED = Augmentation(
     start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0
 )
-"""Training windows as they are."""
+"""Augmentation that leaves training windows as they are."""
 
 THINNED = replace(AS_RECORDED, drop=0.3)
-"""Up to 30 % of a training window's events are dropped."""
+"""Augmentation that drops up to 30 % of a training window's events, and nothing else."""
 
 INPUTS = {
     "raw": TNTConfig(transform="none", landmark="center"),
@@ -77,7 +79,7 @@ INPUTS = {
     "regressor": TNTConfig(landmark="regressor", t_max=T_MAX),
     "line": TNTConfig(landmark="line", remove_flow=True, t_max=T_MAX),
 }
-"""Name of an input -> how events become volumes."""
+"""Name of an input -> settings by which events become volumes."""
 
 IMAGES: dict[Representation, str] = {
     "count": "image of counts",
@@ -122,8 +124,8 @@ SETS = {
     "bell bright": ("bell", False),
     "bell centre bright": ("bell-from-centre", False),
 }
-"""Simulated set -> its kind of motions, of `motions.kinds.KINDS`, and whether digits are dark on
-bright."""
+"""Simulated set -> its kind of motions, of `motions.kinds.KINDS`, and whether its digits are dark
+on a bright background."""
 
 THESIS_SET = "centre bright"
 """The set that is probably like the thesis' own."""
@@ -157,21 +159,21 @@ THESIS = {
 
 @dataclass(frozen=True)
 class Row:
-    """One way from events to a network's input, and what it is trained on.
+    """One way from events to a network's input, and what the network is trained on.
 
     Parameters
     ----------
     name : name on the command line and in files.
     group : one of `GROUPS`.
     title : title in the table.
-    config : how events become volumes.
+    config : settings by which events become volumes.
     augmentation : augmentation of the training windows.
     iterations : steps of the optimizer.
     trained_on : names of `TRAINED_ON`.
-    motions : how the windows are re-synthesized; None: they are not.
+    motions : settings of motion re-synthesis; None: windows are not re-synthesized.
     span : number of events that a window keeps, its first ones. Their times are scaled to the whole
         window. None: a window keeps all events, and times are not scaled.
-    seeds : how many of the command's seeds are used, at most; None: all.
+    seeds : largest number of the command's seeds with which the row is trained; None: all.
     """
 
     name: str
@@ -200,7 +202,7 @@ GROUPS = {
     "motions": "with motion re-synthesis, an augmentation, and controls of as many steps",
     "representations": "event images instead of volumes, and TNT about `window`",
 }
-"""Group of rows -> what it has."""
+"""Group of rows -> what its rows have in common."""
 
 
 def _thesis() -> Iterator[Row]:
@@ -225,7 +227,7 @@ def _compared(
     t_max: float = T_MAX,
     translated: bool = False,
 ) -> Row:
-    """A row of the comparison; its name and title tell what is not usual."""
+    """A row of the comparison. Its name and title tell which settings are not the usual ones."""
     config = INPUTS[name].replace(polarity=polarity)
     words = [name]
     title = [TITLES[name]]
@@ -250,7 +252,7 @@ def _compared(
 
 
 def _comparison() -> Iterator[Row]:
-    """All inputs, by polarity, with and without translations."""
+    """The rows of the comparison: inputs by polarity, with and without translations."""
     for polarity, names in (("signed", INPUTS), ("unsigned", UNSIGNED), ("split", SPLIT)):
         for name in names:
             for translated in (False, True):
@@ -271,7 +273,7 @@ def _spans() -> Iterator[Row]:
 
 
 def _motions() -> Iterator[Row]:
-    """Rows with motion re-synthesis, and a control of as many steps."""
+    """Rows with motion re-synthesis, and a control that is trained for as many steps."""
     row = partial(Row, group="motions", iterations=STEPS_MORE)
     yield row(
         name="raw-motions",
@@ -303,7 +305,7 @@ def _motions() -> Iterator[Row]:
 
 
 def _representations() -> Iterator[Row]:
-    """TNT about `window`, and event images, all translated."""
+    """Rows of TNT about `window` and of event images, all translated."""
     inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
     image_config = TNTConfig(transform="none", landmark="center", polarity="split")
     for image, title in IMAGES.items():
@@ -362,13 +364,13 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("running-motions", "raw-motions"),
     ),
 }
-"""Question -> pairs of rows whose difference in accuracy is looked at: (row, against), in every
+"""Question -> pairs (row, against) of rows. The difference of their accuracies is measured in every
 column that both have."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """Which network: a row, what it is trained on, and a seed."""
+    """A network: its row, what it is trained on, and its seed."""
 
     row: str
     trained_on: str
@@ -380,12 +382,12 @@ class Run:
 
 
 def runs_of(names: Iterable[str], trained_on: Collection[str], seeds: Sequence[int]) -> list[Run]:
-    """The networks of rows or groups, in the order they are trained: group by group, seed by seed.
+    """The networks of rows or groups, in the order of training: group by group, seed by seed.
 
     Parameters
     ----------
     names : names of `ROWS` and `GROUPS`.
-    trained_on : names of `TRAINED_ON`; networks that are trained on others are left out.
+    trained_on : names of `TRAINED_ON`. Networks that are trained on anything else are left out.
     """
     names = set(names)
     runs = []

@@ -1,6 +1,7 @@
 """Train and test the networks of the table.
 
-Several are trained at a time. The result of each is in two files.
+Several networks are trained at a time. The result of each network is in two files, `RESULT` and
+`RIGHT`.
 """
 
 from __future__ import annotations
@@ -40,13 +41,13 @@ RIGHT = "right.npz"
 """File that says which windows were right, in the folder of a network."""
 
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
-"""Entries of the last epoch that the result has."""
+"""Entries of the last epoch that the result keeps."""
 
 HISTORY = ("iterations", "loss", "per_window", "validation_loss")
-"""Entries of each epoch that the result has."""
+"""Entries of each epoch that the result keeps."""
 
 MOMENTS_MS = (10, 20, 30, 50, 75)
-"""Times since the start of a window at which networks are tested, too."""
+"""Times since the start of a window at which networks are tested, besides the window's end."""
 
 EARLY = ("1/others", "1/sim", "all/sim")
 """Columns of unseen motions that are tested at `MOMENTS_MS`."""
@@ -60,16 +61,17 @@ def run_networks(
     folder: Path,
     workers: int,
 ) -> list[dict[str, Any]]:
-    """Call `run_network` for each of `runs`, in `workers` processes of one thread each.
+    """The results of `run_network` for each of `runs`, in `workers` processes of one thread each.
 
-    With one worker, it is called in this process.
+    With one worker, the networks are trained in this process.
 
     Raises
     ------
-    ValueError, OSError : as `run_network`. ChildProcessError : a worker was killed.
+    ValueError, OSError : `run_network` raises them.
+    ChildProcessError : a worker was killed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # all workers make the motions of one row together
+    # motions first: all workers make the motions of one row together
     for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):
         motions_of(row, on, real.read(), settings_of(Run(row, on, 0), settings), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
@@ -92,7 +94,7 @@ def _run_task(
     settings: TrainSettings,
     folder: Path,
 ) -> dict[str, Any]:
-    # each core has a network
+    # one thread is enough, because each core trains a network
     torch.set_num_threads(1)
     return run_network(run, real.read(), simulated, settings, folder)
 
@@ -128,7 +130,7 @@ def run_network(
         held_out = spanned(held_out, row.span)
     motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
-    # quick for a finished run: its checkpoint, if it has these settings, is at the end
+    # This is quick for a finished run with these settings: its checkpoint is of the last epoch.
     shown = TrainingData(row.config, CLASSES, training, held_out)
     trained = train(shown, settings, folder, motions=motions)
 
@@ -172,7 +174,7 @@ def run_network(
     plot_curves(trained.history, folder / "curves.png")
     replace(trained.model, record=result).save(folder / "model.safetensors")
     _write_right(folder / RIGHT, right)
-    # last: it says that the run is finished
+    # written last, because this file tells that the run is finished
     write_text(finished, json.dumps(result, indent=1))
     return result
 
@@ -185,7 +187,7 @@ def _write_right(path: Path, right: dict[str, np.ndarray]) -> None:
 def right_of(
     results: list[dict[str, Any]], folder: Path
 ) -> dict[tuple[str, str], dict[int, np.ndarray]]:
-    """Which windows the networks of `run_networks` had right, see `numbers.Right`."""
+    """Which windows the networks of `run_networks` had right, in the form of `numbers.Right`."""
     right: dict[tuple[str, str], dict[int, np.ndarray]] = {}
     for result in results:
         run = Run(result["row"], result["trained_on"], result["seed"])
@@ -196,7 +198,7 @@ def right_of(
 
 
 def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
-    """How a network is trained, in full."""
+    """The full settings of a network's training: those given, its seed, and those of its row."""
     row = ROWS[run.row]
     iterations = settings.iterations or row.iterations
     return replace(settings, seed=run.seed, augmentation=row.augmentation, iterations=iterations)
@@ -205,9 +207,9 @@ def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
 def motions_of(
     row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
 ) -> Motions | None:
-    """Other motions of a row's training windows.
+    """Re-synthesized motions of a row's training windows; None for a row without re-synthesis.
 
-    Rows and seeds with the same settings share them.
+    Rows and seeds with the same settings share the motions.
     """
     config = ROWS[row].config
     motions = ROWS[row].motions
@@ -235,9 +237,10 @@ def _tested(
     span: int | None,
     moments_ms: tuple[int, ...],
 ) -> dict[str, Any]:
-    """The accuracy in all, of each motion and at moments, and what was right.
+    """The result of one test: the accuracy in all, of each motion and at moments, and "right".
 
-    "right" is int8, (motions, recordings or images), and -1 where a motion has no window.
+    "right" tells which windows are right. It is int8, (motions, recordings or images), and -1 where
+    a recording or image has no window in a motion.
     """
     parts = []
     early = {ms: [0, 0] for ms in moments_ms}
@@ -246,9 +249,9 @@ def _tested(
         tested = windows if span is None else spanned(windows, span)
         parts.append((motion, names, _right(pipeline, tested)))
         for ms, counts in early.items():
-            at_once = _right(pipeline, tested, until_us=1_000 * ms)
-            counts[0] += int(at_once.sum())
-            counts[1] += len(at_once)
+            right_early = _right(pipeline, tested, until_us=1_000 * ms)
+            counts[0] += int(right_early.sum())
+            counts[1] += len(right_early)
     # a motion may come in several parts
     motions = list(dict.fromkeys(motion for motion, *_ in parts))
     all_names = sorted({name for _, names, _ in parts for name in names})
@@ -283,7 +286,7 @@ def _windows(
 
 
 def _right(pipeline: Pipeline, windows: Windows, until_us: int | None = None) -> np.ndarray:
-    """Which windows are right; with `until_us`, from their first events alone."""
+    """Whether each window is right. With `until_us`, only its events until then are used."""
     probabilities = class_probabilities(pipeline, windows, until_us=until_us)
     right: np.ndarray = probabilities.argmax(1) == windows.labels
     return right
