@@ -1,10 +1,11 @@
 """Motion re-synthesis: the events that a recorded object would have given under another motion.
 
-From the events of a window follow the path on which an image moved, and this image (`paths`,
-`moving_image`). The image is moved on another path, and its events are simulated
-(`reconstruction`), by pixels that are found with `calibration`.
+The events of a window tell the path on which an image moved (`paths`), and the image itself
+(`moving_image`). Then the image is moved on another path, and its events are simulated
+(`reconstruction`). `calibration` finds the parameters of the simulated pixels.
 
-`async-tnt train` uses it, if its motions are to be re-synthesized. No name of it is public.
+`async-tnt train` uses this package if it is asked for re-synthesized motions. None of the package's
+names is public.
 """
 
 TYPE_CHECKING = False

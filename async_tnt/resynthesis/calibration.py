@@ -1,14 +1,15 @@
-"""The contrast and the refractory time, which events do not tell directly.
+"""Find the thresholds and the refractory time of simulated pixels.
 
-They are found by simulating the recorded motion again.
+Events do not tell these values directly. So the recorded motion is simulated with several values,
+and the simulated events are compared with the recorded ones.
 
-Events tell contrast in units of the pixels' thresholds, and an image that is found in them is
-smoother than what was seen. So the thresholds are scaled until the recorded motion, re-synthesized,
-has as many events as the recordings.
+Events tell contrast only in units of the pixels' thresholds. And an image that is found from events
+is smoother than the scene. So the thresholds are scaled until the re-synthesized motion has as many
+events as the recordings.
 
-The intervals between a pixel's events only bound its refractory time. Several times within the
-bound are tried, each with its own scale. The one whose intervals are most like the recorded ones is
-taken.
+The intervals between a pixel's events give only an upper bound of its refractory time. So several
+refractory times within the bound are tried, each with its own scale of the thresholds. The choice
+is the refractory time whose intervals are most like the recorded ones.
 """
 
 from __future__ import annotations
@@ -27,34 +28,35 @@ from async_tnt.volume.events import structured
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Refractory times that are tried, as shares of the longest one that the intervals allow."""
 INTERVALS = ("same-pixel interval, 5 %", "same-pixel interval, median")
-"""The numbers of `describe` by which refractory times are compared."""
+"""The numbers of `describe` with which refractory times are compared."""
 UNITS = {
     "active pixels": "%",
     "same-pixel interval": "ms",
     "ON share": "%",
     "ON - OFF centroid": "px",
 }
-"""The start of a number's name, before a comma -> its unit; the other numbers have none."""
+"""Name of a number of `describe`, up to its comma -> unit. The other numbers have no unit."""
 CLOCK_MS = 1e-3
-"""Least interval that is compared, in milliseconds: shorter ones are 0 in whole microseconds."""
+"""Shortest interval that is compared, in milliseconds: one microsecond, the unit of times. Shorter
+intervals count as this one."""
 MOST_STEPS = 8
-"""Steps in which the scale of the thresholds is found, at most."""
+"""Most steps in which the scale of the thresholds is searched."""
 NEAR_ENOUGH = 0.005
-"""Deviation of the number of events, as a share, at which the scale is good enough."""
+"""Deviation of the number of events, as a share, at which the search for the scale ends."""
 UNLIKE = 4 / 3
-"""Ratio of a simulated number to the recorded one that is worth a warning."""
+"""Ratio between a simulated and a recorded number that is worth a warning."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """How events are re-synthesized.
+    """How events are re-synthesized, and how well they match recorded events.
 
     Parameters
     ----------
     pixels : the simulated sensor.
     length : median length of the recorded paths, in pixels.
-    match : "recorded" and "resynthesized" -> the numbers of `describe`, of the recorded windows and
-        of the same motion re-synthesized.
+    match : "recorded" -> the numbers of `describe` for the recorded windows, and "resynthesized" ->
+        the same numbers for the recorded motion, re-synthesized.
     """
 
     pixels: SimulatedPixels
@@ -67,8 +69,9 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
 
     Parameters
     ----------
-    reconstruction : finds paths and images in windows of this sensor and length.
-    windows : windows of recordings, with their neighbours' events or without; a hundred are enough.
+    reconstruction : finds the paths and the images of these windows.
+    windows : windows of recordings, with or without their neighbours' events. A hundred windows are
+        enough.
     seed : seed of the simulation.
 
     Raises
@@ -100,7 +103,8 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
     target = describe(recorded, model.sensor)
     n_events = sum(map(len, recorded))
     candidates = []
-    for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
+    shares = REFRACTORY_SHARES if measured.refractory_us else (0.0,)
+    for share in shares:
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
         pixels, simulated = _scaled(pixels, images, n_events, seed)
         found = describe(simulated, model.sensor)
@@ -111,7 +115,7 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
 
 
 def _difference(found: Mapping[str, float], target: Mapping[str, float]) -> float:
-    """How far the intervals of two descriptions differ: the sum of |log ratio|."""
+    """How much the `INTERVALS` of two descriptions differ: the sum of |log ratio|."""
     ratios = [max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS) for name in INTERVALS]
     return float(sum(abs(np.log(ratio)) for ratio in ratios))
 
@@ -119,11 +123,11 @@ def _difference(found: Mapping[str, float], target: Mapping[str, float]) -> floa
 def _scaled(
     pixels: SimulatedPixels, images: Sequence[MovedImage], n_events: int, seed: int
 ) -> tuple[SimulatedPixels, list[np.ndarray]]:
-    """Scale the thresholds until the recorded motion gives as many events as were recorded.
+    """Scale the thresholds until the recorded motion, re-synthesized, has `n_events` events.
 
     Returns
     -------
-    The pixels with that scale, and the events of each image.
+    The pixels with this scale, and the simulated events of each image.
     """
     ratio = 1.0
     for _ in range(MOST_STEPS):
@@ -139,11 +143,11 @@ def _scaled(
 
 
 def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str, float]:
-    """Numbers that tell whether two sets of recordings are alike.
+    """Numbers that describe windows, to compare recorded with simulated windows.
 
-    An active pixel has an event in the window. Same-pixel intervals are those between consecutive
-    events of one pixel, of either polarity, in one window; their quantiles are over all windows
-    together.
+    An active pixel has an event in the window. A same-pixel interval is the time between two
+    consecutive events of one pixel in one window, of either polarity. The quantiles of the
+    intervals are over all windows together.
 
     Parameters
     ----------
@@ -160,7 +164,7 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
     intervals = [np.empty(0, np.int64)]
     for events in windows:
         pixel = events["y"].astype(np.int64) * sensor[0] + events["x"]
-        # stable: by pixel, and by time within each
+        # the sort is stable: the events of each pixel stay in order of time
         order = np.argsort(pixel, kind="stable")
         same = np.diff(pixel[order]) == 0
         intervals.append(np.diff(events["t"][order])[same])
@@ -192,7 +196,7 @@ def unlike(match: Mapping[str, Mapping[str, float]]) -> list[str]:
     """
     names = []
     for name, recorded in match["recorded"].items():
-        # the bound is for intervals; the other numbers are larger
+        # `CLOCK_MS` is a bound for intervals. It changes no other number, as these are larger.
         simulated = max(match["resynthesized"][name], CLOCK_MS)
         ratio = max(recorded, CLOCK_MS) / simulated
         if not 1 / UNLIKE < ratio < UNLIKE:
@@ -201,16 +205,16 @@ def unlike(match: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 
 def _ratio(part: float, whole: float) -> float:
-    """part / whole; nan where there is no whole."""
+    """The ratio part / whole; nan if `whole` is 0."""
     return part / whole if whole else float("nan")
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions: a column for each, a row for each number.
+    """A table, as text, with a column for each description and a row for each number.
 
     Parameters
     ----------
-    columns : title -> description, see `describe`. A number that is missing is shown as -.
+    columns : title -> description, see `describe`. A missing number is shown as -.
     """
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     labels = {}
@@ -222,5 +226,6 @@ def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
     lines = [" " * margin + "".join(f"{title:>{width}}" for title in columns)]
     for name in names:
         values = [f"{column[name]:.2f}" if name in column else "-" for column in columns.values()]
-        lines.append(f"{labels[name]:<{margin}}" + "".join(f"{value:>{width}}" for value in values))
+        row = "".join(f"{value:>{width}}" for value in values)
+        lines.append(f"{labels[name]:<{margin}}{row}")
     return "\n".join(lines)

@@ -1,18 +1,18 @@
-"""The statistical model of a window's events as one image that moves over the sensor.
+"""A statistical model of a window's events: one image moves over the sensor.
 
-The model has a closed form.
-
-Let L be the image of log luminance where it is at the window's start, in units of the pixels'
-threshold. Let r_k be its displacement at the end of the k-th of K equal parts of the window. Then
-the events up to that moment sum up to
+The image L is the log luminance at the window's start, in units of the pixels' threshold. The
+window is divided into K equal parts, and r_k is the image's displacement at the end of the k-th
+part. Then the sum of a pixel's events up to this moment, with OFF events negative, is
 
     c_k(x) = L(x - r_k) - L(x) + e_k(x)
     cov(e_k, e_m) = V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
 
-A pixel's reference level is anywhere within a threshold of its light, at the start (the 1) and at
-r_k (the delta): a uniform distribution, of variance 1/3. The last term is what thresholds that
-differ from pixel to pixel add. On a torus a displacement only multiplies each spatial frequency q
-by a phase, so that the frequencies are independent:
+with errors e_k of mean 0. A pixel's reference level is anywhere within a threshold of its light: a
+uniform distribution, of variance 1/3. This variance occurs twice, at the start (the 1) and at r_k
+(the delta). The last term of V is added by thresholds that differ from pixel to pixel.
+
+The sensor is treated as a torus. There a displacement multiplies each spatial frequency q by a
+phase and does nothing else. So the frequencies are independent, and the solution has a closed form:
 
     c_k(q) = a_k(q) L(q) + e_k(q)        a_k = exp(-i q r_k) - 1
     L(q) ~ N(0, 1 / Q(q))                Q = 16 (|D(q)|^2 + 1/16)
@@ -21,21 +21,23 @@ by a phase, so that the frequencies are independent:
     E(L | c, r) = b / (h + Q)
     log p(c | r) - log p(c | no image) = 1/2 sum_q |b|^2 / (h + Q) - log(1 + h / Q)
 
-D are the differences of neighbours. The last line is the *evidence* of a path. It grows with the
-signal that the path explains, averaged over all images, and shrinks with the freedom that the path
-leaves to the image. Frequencies above `BAND` tell little about the path and are left out.
+D takes the differences of neighbouring cells. The last line is the *evidence* of a path, an average
+over all images. It grows with the part of the signal that the path explains. It shrinks with the
+freedom that the path leaves to the image. Frequencies above `BAND` tell little about the path and
+are left out.
 
-Once the path is known, the image is found as sharp as its events tell, and flat where they tell
-nothing:
+Once the path is known, the image is found. It is as sharp as its events tell, and flat where they
+tell nothing:
 
     L = argmin  1/2 sum_q h |L - b / h|^2  +  sum_x g(|D L|)  +  1/2 MEAN_PRECISION |L|^2
     g'(z) = SPARSENESS (sqrt(u^2 + 1) - u),  u = z / (2 EDGE)
 
-The first term is the likelihood. The second prefers few edges to many small ones. It removes what
-noise would otherwise leave everywhere: each bit of that would give events under another motion. It
-also continues edges that run along the motion, which have no events. Total variation (g'
-the same everywhere) does that, too, but flattens all edges, those along the motion most of all.
-Here an edge well above `EDGE` costs little more than a small one.
+The first term is the likelihood. The second term prefers few edges to many small ones, for two
+reasons. It removes the small edges that noise leaves everywhere, which would give events under
+another motion. And it continues edges that run along the motion, which have no events. Total
+variation, with the same g' everywhere, would do both, too. But it flattens all edges, and most of
+all those along the motion. With this g, an edge well above `EDGE` costs little more than a small
+edge.
 """
 
 from __future__ import annotations
@@ -49,40 +51,42 @@ from async_tnt.kernels.training.moving_image import contrast_frames, evidence_te
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, is_after_pulse, part_of
 
 N_FRAMES = 16
-"""K, the number of equal parts of a window. A path has a point at the end of each."""
+"""K, the number of equal parts of a window. A path has a point at the end of each part."""
 BAND = np.pi / 2
-"""Highest frequency that a path is found by, in radians per cell."""
+"""Highest frequency with which a path is found, in radians per cell."""
 PHASE_VARIANCE = 1 / 3
 """Variance of a pixel's reference level about its light, in thresholds squared."""
 WALK_VARIANCE = 0.01
-"""Variance that each of the K parts adds, as pixels have different thresholds."""
+"""Variance that each of the K parts adds because thresholds differ, in thresholds squared."""
 ROUGHNESS = 16.0
 """Weight of the neighbours' differences in Q = ROUGHNESS |D|^2 + LEVEL."""
 LEVEL = 1.0
 """The term of Q that is the same for all frequencies."""
 
-# Larger sensors are averaged over squares of pixels, the cells.
+# The model works on cells: squares of sensor pixels, over which the events are averaged.
 MOST_CELLS = 80
-"""Cells along the sensor's longer side, at most."""
+"""Most cells along the sensor's longer side."""
 OBJECT_CELLS = 16
-"""Cells across what moves, about."""
+"""Wanted number of cells across the moving object."""
 FEWEST_CELLS = 40
-"""Cells along the sensor, at least: a path of two pixels is not seen in cells of four."""
+"""Fewest cells along the sensor's longer side. With large cells short paths are missed: a path of
+two pixels is not seen in cells of four pixels."""
 MARGIN = 14
-"""Cells beyond the sensor, so that what leaves it on one side does not come in on the other."""
+"""Number of cells beyond the sensor. Without them, an object that leaves the sensor on one side
+would come in on the other side, as on any torus."""
 
 SPARSENESS = 2.0
-"""What a step in the image costs, per threshold of a small step: g'(0)."""
+"""Cost of a small step in the image, per threshold of its height: g'(0)."""
 EDGE = 2 / 3
-"""Height of a step, in thresholds, from which on more height costs little."""
+"""Height of a step, in thresholds, above which more height costs little."""
 STEPS = 40
-"""Steps of the solver that finds the image."""
+"""Number of steps of the solver that finds the image."""
 MEAN_PRECISION = 1e-2
-"""Keeps frequencies that nothing is known of, such as the mean, at 0."""
+"""Precision that keeps frequencies at 0 if the events tell nothing of them, such as the mean."""
 
 
 class MovingImage:
-    """The model for windows of one sensor and length.
+    """The statistical model of windows, for one sensor and one length of windows.
 
     Parameters
     ----------
@@ -92,9 +96,10 @@ class MovingImage:
 
     Attributes
     ----------
-    rows, columns : cells of the sensor.
-    shape : (rows, columns) of the torus; odd, so that no frequency is its own opposite.
-    whitening : float64, (K, K), W with W V W^T = 1, for the mean of a cell's pixels.
+    rows, columns : number of cells of the sensor.
+    shape : (rows, columns) of the torus. Both are odd, so that only frequency 0 is its own
+        opposite.
+    whitening : float64, (K, K): W with W V W^T = 1. V is that of the mean of a cell's pixels.
     """
 
     def __init__(self, sensor: tuple[int, int], window_us: int, cell: int = 1) -> None:
@@ -121,23 +126,20 @@ class MovingImage:
 
     @cached_property
     def band(self) -> tuple[np.ndarray, np.ndarray]:
-        """The frequencies (qx, qy) that a path is found by."""
+        """The frequencies (qx, qy) with which a path is found."""
         qx, qy = self.frequencies
         return qx[qx <= BAND], qy[np.abs(qy) <= BAND]
 
     @cached_property
     def band_weights(self) -> np.ndarray:
-        """How often each qx of the band counts: 2 where its opposite is left out."""
+        """The weight of each qx of the band: 2 if its opposite is left out, 1 for qx = 0."""
         return np.where(self.band[0] > 0, 2.0, 1.0)
 
     @cached_property
     def band_prior(self) -> np.ndarray:
-        """Q of the band's frequencies, (F,); x changes fastest.
-
-        |D|^2 is the power of the differences of neighbours.
-        """
+        """Q of the band's F frequencies, (F,); qx changes fastest."""
         qx, qy = self.band
-        squared: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
+        squared: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]  # |D|^2
         return (ROUGHNESS * squared + LEVEL).ravel()
 
     def frames(
@@ -150,8 +152,9 @@ class MovingImage:
         Parameters
         ----------
         windows : N windows.
-        pixels : the pixels that recorded them.
-        span : the frames are those of so many windows together, with each window in the middle.
+        pixels : the pixels that recorded the windows.
+        span : number of consecutive windows that the frames cover. Each of the N windows is in the
+            middle of its own.
         """
         frames = np.empty((len(windows), N_FRAMES, self.rows, self.columns))
         for window, out in zip(windows, frames, strict=True):
@@ -168,18 +171,21 @@ class MovingImage:
         return frames
 
     def spectra(self, frames: np.ndarray) -> np.ndarray:
-        """W c(q) of all frequencies, (N, ny, nx, K)."""
+        """W c(q) at all frequencies q: complex128, (N, ny, nx, K).
+
+        frames : c, from `frames`.
+        """
         spectra = np.fft.rfft2(frames, self.shape, norm="ortho")
         return np.ascontiguousarray(np.moveaxis(spectra, 1, -1) @ self.whitening.T)
 
     def band_of(self, spectra: np.ndarray) -> np.ndarray:
-        """The band's part of `spectra`, (N, F, K)."""
+        """The part of `spectra` at the band's F frequencies, (N, F, K)."""
         qx, qy = self.frequencies
         band = spectra[:, np.abs(qy) <= BAND][:, :, qx <= BAND]
         return band.reshape(len(spectra), -1, N_FRAMES)
 
     def white_motion(self, paths: np.ndarray, qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
-        """W a of paths (..., K, 2) in cells: (..., ny, nx, K)."""
+        """W a at frequencies qx and qy, for paths (..., K, 2) in cells: (..., ny, nx, K)."""
         angle = (
             qy[:, None, None] * paths[..., None, None, :, 1]
             + qx[:, None] * paths[..., None, None, :, 0]
@@ -188,17 +194,17 @@ class MovingImage:
         return white
 
     def evidence(self, band: np.ndarray, path: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """The evidence of a path for all windows together, with two derivatives.
+        """The evidence of a path for all windows together, its gradient and its curvature.
 
         Parameters
         ----------
-        band : complex128, (N, F, K), of `band_of`.
+        band : complex128, (N, F, K), from `band_of`.
         path : float64, (K, 2), in cells.
 
         Returns
         -------
-        The evidence E, its gradient dE/dr (K, 2), and its curvature (2K, 2K) with the images held
-        fixed.
+        The evidence E, its gradient dE/dr, (K, 2), and its curvature, (2K, 2K). The curvature is
+        minus the second derivative with fixed images, in the Gauss-Newton approximation.
         """
         qx, qy = self.band
         gradient = np.empty((N_FRAMES, 2))
@@ -220,7 +226,7 @@ class MovingImage:
 
         Parameters
         ----------
-        band : complex128, (F, K), one window of `band_of`.
+        band : complex128, (F, K), of one window, from `band_of`.
         path : float64, (K, 2), in cells.
         """
         white = self.white_motion(path, *self.band).reshape(band.shape)
@@ -234,10 +240,11 @@ class MovingImage:
 
 
 def cell_for(windows: Sequence[Columns], sensor: tuple[int, int]) -> int:
-    """The number of sensor pixels along a side of a cell.
+    """Choose the number of sensor pixels along a side of a cell.
 
-    What moves is to have `OBJECT_CELLS` across. Its size is the median, over the windows, of how
-    far the middle 70 % of the events reach.
+    The moving object is to be about `OBJECT_CELLS` cells across. Its size in a window is the extent
+    of the middle 70 % of the events, in x or in y, whichever is larger. The median over the windows
+    counts.
     """
     reach = []
     for _, x, y, _ in windows:
@@ -249,16 +256,17 @@ def cell_for(windows: Sequence[Columns], sensor: tuple[int, int]) -> int:
 
 
 def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> np.ndarray:
-    """The images of N windows where they are at their window's start.
+    """Find the images of N windows, each image at its place at the window's start.
 
-    They are found by ADMM (Boyd et al. 2011; for total variation: Goldstein and Osher 2009, the
-    split Bregman method), with z = D L. With z held fixed, L has a closed form for each frequency.
-    With L held fixed, z is D L times 1 - (EDGE / |D L|)^2, or 0 (the garrote, Gao 1998), if the
-    coupling of both is SPARSENESS / EDGE.
+    The solver is ADMM (Boyd et al. 2011; for total variation: Goldstein and Osher 2009, the split
+    Bregman method). It introduces z = D L and alternates two steps. For a fixed z, L has a closed
+    form at each frequency. For a fixed L, z is D L times max(0, 1 - (EDGE / |D L|)^2), the garrote
+    (Gao 1998), because the coupling of z and D L is SPARSENESS / EDGE.
 
     Parameters
     ----------
-    spectra : complex128, (N, ny, nx, K), of `MovingImage.spectra`.
+    model : the model of the windows.
+    spectra : complex128, (N, ny, nx, K), from `MovingImage.spectra`.
     paths : float64, (N, K, 2), in cells.
 
     Returns
@@ -273,7 +281,7 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> n
     b = (white.conj() * spectra).sum(-1)
     squared = np.abs(forward_x) ** 2 + np.abs(forward_y) ** 2
     precision = (np.abs(white) ** 2).sum(-1) + MEAN_PRECISION + coupling * squared
-    # z, and the dual variable of z = D L
+    # `edges` is z, and `dual` is the dual variable of the constraint z = D L
     edges, dual = np.zeros((2, 2, len(spectra), *model.shape))
     for _ in range(STEPS):
         along_x, along_y = np.fft.rfft2(edges - dual, norm="ortho")
@@ -290,11 +298,11 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> n
 
 
 def finer(image: np.ndarray, factor: int) -> np.ndarray:
-    """The same image on a grid that is `factor` times finer. It gains no frequencies."""
+    """The same image on a grid that is `factor` times finer, without new frequencies."""
     spectrum = np.fft.rfft2(image)
     rows, columns = image.shape
     padded = np.zeros((rows * factor, columns * factor // 2 + 1), np.complex128)
-    # the first rows have the frequencies from 0 up; the negative ones are at the end
+    # the first rows are the frequencies from 0 up, the last rows are the negative frequencies
     half = rows // 2 + 1
     padded[:half, : spectrum.shape[1]] = spectrum[:half]
     padded[half - rows :, : spectrum.shape[1]] = spectrum[half:]
@@ -304,18 +312,22 @@ def finer(image: np.ndarray, factor: int) -> np.ndarray:
 def centre_of(image: np.ndarray) -> np.ndarray:
     """The middle (x, y) of the image's edges, in cells.
 
-    This is the mean direction on the torus, weighted by |D L|^2.
+    In x and in y, it is the circular mean on the torus, weighted by squared differences.
     """
     power = sum((np.roll(image, -1, axis) - np.roll(image, 1, axis)) ** 2 for axis in (0, 1))
     centre = []
     for axis, n in ((0, image.shape[1]), (1, image.shape[0])):
-        angle = np.angle((power.sum(axis) * np.exp(2j * np.pi * np.arange(n) / n)).sum())
+        # place k of n is the angle 2 pi k / n on a circle
+        on_circle = np.exp(2j * np.pi * np.arange(n) / n)
+        angle = np.angle((power.sum(axis) * on_circle).sum())
         centre.append(angle % (2 * np.pi) / (2 * np.pi) * n)
     return np.array(centre)
 
 
 def fft_size(least: int) -> int:
-    """The smallest odd number from `least` on without a prime factor above 7.
+    """The smallest odd number, `least` or more, that has no prime factor above 7.
+
+    The Fourier transform of such a size is fast.
 
     Examples
     --------
@@ -323,6 +335,7 @@ def fft_size(least: int) -> int:
     (49, 63, 63)
     """
     size = least + 1 - least % 2
-    while pow(3 * 5 * 7, size.bit_length(), size):  # 0, unless it has another prime factor
+    # A high power of 3 * 5 * 7 is a multiple of `size`, unless `size` has another prime factor.
+    while pow(3 * 5 * 7, size.bit_length(), size) != 0:
         size += 2
     return size

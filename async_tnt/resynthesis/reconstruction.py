@@ -1,8 +1,9 @@
-"""From the events of windows to a moving image and its path, and to events of other motions.
+"""From the events of a window to its moving image and path, and to events under other motions.
 
-Other motions are drawn around the recorded ones: half to double their length, see `random_motion`.
-At half time the object's centre lies at random between its recorded place at half time and the
-sensor's centre, and up to an eleventh of the sensor's smaller side (3 of 34 pixels) beside that.
+Another motion is drawn at random, see `random_motion`. Its length is half to double the length of
+recorded motions. Its place at half time is drawn in two steps. First, a point between the object's
+recorded centre at half time and the sensor's centre. Then this point is moved in x and in y, by up
+to an eleventh of the sensor's smaller side (3 of 34 pixels).
 """
 
 from __future__ import annotations
@@ -20,23 +21,24 @@ from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 
 N_PICTURES = 52
-"""Pictures of a window; the light changes linearly from one to the next."""
+"""Number of pictures of a window. The light changes linearly from one picture to the next."""
 FINENESS = 3
-"""Places of the image along a cell. The image is interpolated between them, which then does not
-blur it visibly."""
+"""Number of places of the image along a side of a cell. The image is interpolated between these
+places. With three of them, the interpolation does not blur it visibly."""
 SPAN = 3
-"""Windows in which a path is looked for if one alone does not tell it: the one before, the window
-itself, and the next one."""
+"""Number of windows in which a path is searched if the window alone does not tell it: the window
+before, the window itself, and the window after it."""
 OTHER_LENGTHS = (0.5, 2.0)
-"""Least and greatest length of another motion, as shares of the recorded one."""
+"""Range of the length of another motion, as a share of the recorded length."""
 PLACE_SHARE = 1 / 11
-"""Distance by which the object is moved aside at most, as a share of the sensor's smaller side."""
+"""Largest distance by which the object is moved in x and in y, as a share of the sensor's smaller
+side."""
 BATCH = 64
-"""Windows at a time: some 40 MB of spectra and images."""
+"""Number of windows that are processed at a time. Their spectra and images take some 40 MB."""
 THRESHOLD_SPREAD = 0.1
-"""Standard deviation, from window to window, of the log of the thresholds."""
+"""Standard deviation, over windows, of the log of the thresholds."""
 REFRACTORY_SPREAD = 0.4
-"""Share by which the refractory time of a window differs from the measured one, at most."""
+"""Largest difference between the refractory time of a window and the calibrated one, as a share."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +47,16 @@ class SimulatedPixels:
 
     Parameters
     ----------
-    measured : what the recordings tell.
-    scale : factor of the thresholds to those that images are measured in; `calibrate` finds it.
+    measured : the pixels as measured on recordings, with the refractory time that is simulated.
+    scale : factor of the thresholds. The unit of the images is the thresholds with scale 1.
+        `calibrate` finds the scale.
     """
 
     measured: MeasuredPixels
     scale: float = 1.0
 
     def draw(self, rng: np.random.Generator) -> PixelModel:
-        """The pixels of one window.
-
-        `rng` draws thresholds and refractory time, which vary from window to window.
-        """
+        """Draw the pixels of one window. Thresholds and refractory time vary between windows."""
         scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
         spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
         return PixelModel(
@@ -70,17 +70,17 @@ class SimulatedPixels:
 
 
 class MovedImage:
-    """The image of one window, ready to be moved otherwise.
+    """The image of one window, which can be moved on other paths.
 
     Parameters
     ----------
-    model : the model that the image was found with.
-    image : float64, (rows, columns) of the torus, in thresholds, where it is at the path's start.
-    path : the path on which it was recorded.
+    model : the model with which the image was found.
+    image : float64, (rows, columns) of the torus, in thresholds: the image at the path's start.
+    path : the path on which the image was recorded.
 
     Attributes
     ----------
-    picture : the image, in thresholds, before the sensor.
+    picture : the same image, in thresholds, in front of the sensor.
     """
 
     def __init__(self, model: MovingImage, image: np.ndarray, path: MotionPath) -> None:
@@ -92,8 +92,8 @@ class MovedImage:
         centre = origin + model.cell * centre_of(image) + self._halfway
         torus = model.cell * np.array(model.shape[::-1])
         middle = (np.array(model.sensor) - 1) / 2
-        # on the torus the centre has many equivalent places; take the one that is nearest to the
-        # sensor's centre
+        # On the torus the centre has many equivalent places. Take the place that is nearest to the
+        # sensor's centre.
         self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
         start = self._centre - self._halfway
         self.picture = PeriodicImage(
@@ -101,7 +101,7 @@ class MovedImage:
         )
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events of simulated `pixels` under the motion that was recorded; `rng` draws."""
+        """Events of simulated `pixels` under the recorded motion. `rng` draws pixels and noise."""
         displacement = self.path.before + self.path.at(shares())
         return self.events(displacement, np.zeros((N_PICTURES, 2)), pixels, rng)
 
@@ -118,7 +118,7 @@ class MovedImage:
 
         Returns
         -------
-        The events, and the motion: displacement since the window's start, (n, 2), in pixels.
+        The events, and the motion: the displacement since the window's start, (n, 2), in pixels.
         """
         motion, turn = random_motion(length * rng.uniform(*OTHER_LENGTHS), shares(), rng)
         middle = (np.array(self.model.sensor) - 1) / 2
@@ -136,7 +136,10 @@ class MovedImage:
         pixels: SimulatedPixels,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Events of `pixels` while the image moves, see `PeriodicImage.events`; `rng` draws."""
+        """Events of simulated `pixels` under any motion. `rng` draws pixels and noise.
+
+        displacement, turn : the motion at the times `shares()`, see `PeriodicImage.frames`.
+        """
         times_us = self.model.window_us * shares()
         return self.picture.events(times_us, displacement, turn, pixels.draw(rng), rng)
 
@@ -147,13 +150,13 @@ def shares() -> np.ndarray:
 
 
 class Reconstruction:
-    """Finds paths and images in windows of one sensor and length.
+    """Finds the paths and images of windows, for one sensor and one length of windows.
 
     Parameters
     ----------
     sensor : (width, height), in pixels.
     window_us : length of the windows.
-    cell : sensor pixels along a side of the cells that a path is found on, see `cell_for`.
+    cell : number of sensor pixels along a side of the model's cells, see `cell_for`.
 
     Attributes
     ----------
@@ -167,17 +170,18 @@ class Reconstruction:
     def __call__(
         self, windows: Sequence[Columns], pixels: MeasuredPixels
     ) -> Iterator[tuple[MotionPath, MovedImage | None]]:
-        """Yield the path of each window, and its image if the path may be relied on.
+        """Yield the path of each window, and its image if the path can be relied on.
 
         Parameters
         ----------
-        windows : t, x, y, p of each. If a window alone does not tell its path, its neighbours'
-            events help, if it has them.
+        windows : t, x, y, p of each window. If a window alone does not tell its path, the events of
+            its neighbours are used, too, if the window has them.
         pixels : the sensor's pixels, measured on recordings.
         """
         for first in range(0, len(windows), BATCH):
             batch = windows[first : first + BATCH]
             found = self._reconstruct(batch, pixels, 1)
+            # windows that do not tell their path alone, but have events of their neighbours
             unclear = [
                 i
                 for i, window in enumerate(batch)
@@ -190,7 +194,7 @@ class Reconstruction:
             yield from found
 
     def _has_neighbours(self, window: Columns) -> bool:
-        """Whether a window has events of the windows beside it."""
+        """Whether a window also holds events of its neighbours."""
         alone, _, _, _ = part_of(window, self.model.window_us)
         together, _, _, _ = part_of(window, self.model.window_us, SPAN)
         return len(together) > len(alone)
@@ -198,7 +202,7 @@ class Reconstruction:
     def _reconstruct(
         self, windows: Sequence[Columns], pixels: MeasuredPixels, span: int
     ) -> list[tuple[MotionPath, MovedImage | None]]:
-        """Path and image of each window, found in `span` windows together."""
+        """The path and the image of each window, found from the events of `span` windows."""
         if not windows:
             return []
         model = self.model
@@ -220,17 +224,19 @@ class Reconstruction:
     def _halves(
         self, windows: Sequence[Columns], frames: np.ndarray, band: np.ndarray
     ) -> np.ndarray:
-        """The band of each half of the pictures: complex128, (N, 4, F, K).
+        """The band of each of the four halves of the pictures: complex128, (N, 4, F, K).
 
-        The halves lie left, right, above and below the middle of each window's events.
+        The halves are those left, right, above and below the middle of each window's events.
 
         Parameters
         ----------
         windows : N windows.
-        frames, band : their `MovingImage.frames`, and the band of these.
+        frames : `MovingImage.frames` of the windows.
+        band : the band of these frames, from `MovingImage.band_of`.
         """
         halves = np.empty((len(band), 4, *band.shape[1:]), np.complex128)
         for k, axis in enumerate((1, 2)):  # x and y in (t, x, y, p)
+            # set one half to 0: the band is then that of the other half, and the rest is this one's
             cut = frames.copy()
             for pictures, columns in zip(cut, windows, strict=True):
                 places = columns[axis]
@@ -242,7 +248,7 @@ class Reconstruction:
         return halves
 
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
-        """Find the image of one window. Its path is known, and the pixels are measured."""
+        """Find the image of one window whose path is known."""
         spectra = self.model.spectra(self.model.frames([window], pixels, path.span))
         images = find_images(self.model, spectra, path.positions[None] / self.model.cell)
         return MovedImage(self.model, images[0], path)

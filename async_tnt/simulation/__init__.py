@@ -1,4 +1,4 @@
-"""Simulate an event camera in front of a moving picture. Needs no torch."""
+"""Simulate an event camera in front of a moving picture. This needs no torch."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

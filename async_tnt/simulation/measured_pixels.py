@@ -1,8 +1,7 @@
-"""What recordings tell of their sensor's pixels.
+"""Measure a sensor's pixels on its recordings.
 
-These are the thresholds of ON against OFF, the refractory time, noise and after-pulses.
-
-The events do not tell how large the thresholds are: contrast is measured in thresholds.
+Measured are the ratio of the ON and the OFF threshold, the refractory time, noise and after-pulses.
+The events do not tell how large the thresholds are. So contrast is measured in units of thresholds.
 """
 
 from __future__ import annotations
@@ -17,13 +16,14 @@ from async_tnt.simulation.simulator import AFTER_US
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """t, x, y, p of one window's events, in order, with t in microseconds since the window's start.
 
-Events of the neighbouring windows may be there, too: before 0, and from the window's end on."""
+Events of the neighbouring windows may be there, too: before 0, and at or after the window's end."""
 
 LARGEST_RATIO = 4.0
-"""Ratio of the thresholds of ON and OFF events that is believed, at most."""
+"""Largest ratio of the ON and the OFF threshold, or of OFF and ON. Measured ratios beyond it are
+cut off."""
 REFRACTORY_SHARE = 0.01
-"""Share of the intervals between a pixel's events that may be shorter than the longest possible
-refractory time."""
+"""The bound of the refractory time is this quantile of the intervals between a pixel's events. So
+this share of the intervals may be shorter."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class MeasuredPixels:
 
     Parameters
     ----------
-    step_on, step_off : thresholds of ON and OFF events; their product is 1.
+    step_on, step_off : thresholds of ON and OFF events. Their unit is such that their product is 1.
     refractory_us : microseconds that a pixel is held in reset after an event.
-    noise_hz : events per pixel and second where nothing moves.
-    noise_on_share : share of these events that are ON.
+    noise_hz : noise events per pixel and second, which occur where nothing moves.
+    noise_on_share : share of the noise events that are ON.
     after_share : share of all events that an after-pulse follows.
     """
 
@@ -48,9 +48,9 @@ class MeasuredPixels:
 
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
-    """The events of `span` windows with `window` in their middle.
+    """The events of `span` consecutive windows with `window` in their middle.
 
-    Times are since the start of the first of these windows.
+    Times count from the start of the first of these windows.
     """
     t, x, y, p = window
     before_us = (span - 1) // 2 * window_us
@@ -59,28 +59,34 @@ def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
 
 
 def is_after_pulse(window: Columns) -> np.ndarray:
-    """Which events follow one of the other sign at their pixel within `AFTER_US`: bool, (n,)."""
+    """Which events are after-pulses: bool, (n,).
+
+    An after-pulse follows an event of the other sign at its pixel within `AFTER_US`.
+    """
     t, x, y, p = window
-    # stable: by pixel, and by time within each
+    # the sort is stable: the events of each pixel stay in order of time
     order = np.lexsort((y, x))
-    same = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0) & (p[order[1:]] != p[order[:-1]])
+    is_same_pixel = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0)
+    is_other_sign = p[order[1:]] != p[order[:-1]]
+    is_soon = np.diff(t[order].astype(np.int64)) <= AFTER_US
     after = np.zeros(len(t), bool)
-    after[order[1:]] = same & (np.diff(t[order].astype(np.int64)) <= AFTER_US)
+    after[order[1:]] = is_same_pixel & is_other_sign & is_soon
     return after
 
 
 @dataclass
 class _Counts:
-    """Counts over several windows, after-pulses left out.
+    """Counts over several windows. After-pulses are only counted in `n_after`.
 
     Attributes
     ----------
-    n_on, n_off : events of both signs.
-    n_after : after-pulses.
-    n_quiet : pixels of all windows whose eight neighbours are silent.
-    n_lonely : quiet pixels that have events themselves.
-    n_lonely_on : sum over these of the share of their events that are ON.
-    intervals : microseconds between consecutive events of a pixel of one sign, an array a window.
+    n_on, n_off : number of ON events and of OFF events.
+    n_after : number of after-pulses.
+    n_quiet : number of pixels, of all windows, whose eight neighbours have no events.
+    n_lonely : number of quiet pixels that have events themselves.
+    n_lonely_on : sum, over the lonely pixels, of the share of their events that are ON.
+    intervals : an array for each window: the microseconds between consecutive events of the same
+        pixel, if both have the same sign.
     """
 
     n_on: int = 0
@@ -92,7 +98,7 @@ class _Counts:
     intervals: list[np.ndarray] = field(default_factory=list)
 
     def add(self, window: Columns, sensor: tuple[int, int]) -> None:
-        """Count a window."""
+        """Add the counts of a window."""
         width, height = sensor
         is_after = is_after_pulse(window)
         t, x, y, p = [column[~is_after] for column in window]
@@ -110,10 +116,12 @@ class _Counts:
         self.n_lonely += int(lonely.sum())
         self.n_lonely_on += float((on_counts[lonely] / counts[lonely]).sum())
 
-        # stable: by pixel, and by time within each
+        # the sort is stable: the events of each pixel stay in order of time
         order = np.argsort(pixel, kind="stable")
-        same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
-        self.intervals.append(np.diff(t[order].astype(np.int64))[same])
+        is_same_pixel = np.diff(pixel[order]) == 0
+        is_same_sign = np.diff(p[order].astype(np.int8)) == 0
+        intervals = np.diff(t[order].astype(np.int64))
+        self.intervals.append(intervals[is_same_pixel & is_same_sign])
 
 
 def measure_pixels(
@@ -121,11 +129,11 @@ def measure_pixels(
 ) -> MeasuredPixels:
     """Measure the pixels on some windows.
 
-    - If an image stays within the sensor, the light of all pixels together ends as it began. So,
-      but for noise, step_on n_on = step_off n_off: there are fewer events of the sign with the
-      larger threshold.
-    - Noise is measured at pixels whose eight neighbours are all silent. Active pixels are counted,
-      not their events, because some pixels fire all the time.
+    - Thresholds: if an image stays within the sensor, the sum of log luminance over all pixels is
+      the same before and after. So, but for noise, step_on n_on = step_off n_off: there are fewer
+      events of the sign with the larger threshold.
+    - Noise is measured at pixels whose eight neighbours have no events. The pixels with noise are
+      counted, not their events, because some pixels fire all the time.
     - The refractory time is the longest that the intervals between a pixel's events allow.
     """
     width, height = sensor
@@ -135,12 +143,13 @@ def measure_pixels(
     n_on = counts.n_on
     n_off = counts.n_off
 
-    # The mean number of noise events of a pixel in a window; they are a Poisson process.
+    # The mean number of noise events of a pixel in a window. Noise is a Poisson process, in which
+    # a pixel stays without events with probability exp(-mean).
     noise = -np.log1p(-min(0.99, counts.n_lonely / max(1, counts.n_quiet)))
     noise_on_share = counts.n_lonely_on / counts.n_lonely if counts.n_lonely else 0.5
     n_noise = noise * width * height * len(windows)
 
-    # fewer events than this may be what noise differs by chance from what is expected of it
+    # by chance, the number of noise events may differ by this much from its expectation
     least = max(1.0, 3 * np.sqrt(n_on + n_off))
     moved_on = max(least, n_on - noise_on_share * n_noise)
     moved_off = max(least, n_off - (1 - noise_on_share) * n_noise)

@@ -1,6 +1,6 @@
-"""An image that moves, turns and grows before a sensor, and its events.
+"""An image that moves, turns and grows in front of a sensor, and the sensor's events.
 
-The image repeats itself, so that it has no border.
+The image repeats itself in x and in y, so that it has no border.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from async_tnt.simulation.simulator import PixelModel, simulate
 from async_tnt.volume.events import EVENT_DTYPE
 
 MOST_VALUES = 1 << 22
-"""Values of frames in memory, at most: a large sensor is simulated in bands of rows."""
+"""Most values of frames in memory. A large sensor is simulated in bands of rows, one by one."""
 
 
 @dataclass(frozen=True)
 class PeriodicImage:
-    """An image before a sensor.
+    """An image in front of a sensor.
 
     Parameters
     ----------
-    image : float64, (h, w): log luminance at its places, bilinear between them.
-    step : number of places in a sensor pixel.
-    origin : where the first place is, in x and in y, in sensor pixels.
+    image : float64, (h, w): log luminance at h times w places; bilinear between the places.
+    step : number of places along a side of a sensor pixel.
+    origin : x, and equally y, of the first place, in sensor pixels.
     centre : float64, (2,): the point (x, y) about which the image turns, in sensor pixels.
     sensor : (width, height), in pixels.
     """
@@ -43,16 +43,16 @@ class PeriodicImage:
         first: int = 0,
         n_rows: int | None = None,
     ) -> np.ndarray:
-        """What the sensor sees, at n moments.
+        """The pictures that the sensor sees, at n moments.
 
         Parameters
         ----------
-        displacement : float64, (n, 2): displacement of the centre, in sensor pixels.
+        displacement : float64, (n, 2): displacement of the image's centre, in sensor pixels.
         turn : float64, (n, 2). The first column is the angle by which the image is turned about its
             centre, in radians, from x to y. The second column is the logarithm of the image's size.
             None: both are 0.
-        first : the first row of the sensor that is made.
-        n_rows : how many rows are made. None: all rows from `first` on.
+        first : the first row of the sensor that the pictures have.
+        n_rows : number of rows that the pictures have. None: all rows from `first` on.
 
         Returns
         -------
@@ -64,7 +64,7 @@ class PeriodicImage:
         angle, growth = turn.T
         cos = np.exp(-growth) * np.cos(angle)
         sin = np.exp(-growth) * np.sin(angle)
-        # This matrix turns a displacement on the sensor into one in the image.
+        # These matrices turn a displacement on the sensor into a displacement in the image.
         back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)
         places = np.empty((len(displacement), 2, 3))
         places[..., :2] = back
@@ -83,18 +83,19 @@ class PeriodicImage:
         pixels: PixelModel,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Events of a sensor while the image moves before it.
+        """Events of the sensor while the image moves in front of it.
 
         Parameters
         ----------
         times_us : float64, (n,), increasing, in microseconds.
         displacement, turn : where the image is at these times, see `frames`.
         pixels : the sensor's pixels.
-        rng : draws what differs from pixel to pixel, and noise.
+        rng : draws the differences between pixels, and noise.
 
         Returns
         -------
-        Structured array of `EVENT_DTYPE`, in order, times before the last of `times_us`.
+        Structured array of `EVENT_DTYPE`, in order of time. All times are before the last of
+        `times_us`.
         """
         width, height = self.sensor
         n_rows = max(1, MOST_VALUES // (len(times_us) * width))
@@ -107,5 +108,5 @@ class PeriodicImage:
         events = np.concatenate(parts).astype(EVENT_DTYPE, copy=False)
         if len(parts) > 1:
             events = events[np.argsort(events["t"], kind="stable")]
-        # an event of the last half microsecond is rounded up to the end
+        # an event of the last half microsecond has been rounded up to the end
         return events[events["t"] < times_us[-1]]

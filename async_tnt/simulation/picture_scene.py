@@ -1,19 +1,19 @@
-"""Record pictures by a simulated camera: pixels that nobody has seen, motions that nobody recorded.
+"""Record pictures with a simulated camera. Camera, scene and motion are drawn at random.
 
     picture -> its surroundings, contrast, posture -> a random motion -> random pixels -> events
 
-size        The object's longer side, as a share of the sensor's shorter one, in a stated range.
-place       At half time all of the object is on the sensor, anywhere.
-posture     A plane that is seen from aside: each corner is moved inwards by up to .08 of the
-            object's size.
-contrast    White to black 2 to 15, log-uniform; as on the picture, or dark against bright as on a
-            negative.
-ground      That of the picture, or a random one; in half of the recordings with a texture, 1/f,
-            which moves along.
-lens        Blur of .3 to .9 pixels.
-motion      Lengths of .06 to .5 of the sensor's shorter side, log-uniform, or to 4 if the sensor
-            follows the object; turns of up to 15 degrees, growth of up to .15; a quarter of the
-            motions come back; see `random_motion`.
+size        The ratio of the object's longer side to the sensor's shorter side is in a stated range.
+place       At half time all of the object is on the sensor, at a random place.
+posture     The object is a plane that is seen from aside: each corner is moved inwards by up to .08
+            of the object's size.
+contrast    White is 2 to 15 times as bright as black, log-uniform. Bright and dark are as on the
+            picture, or exchanged as on a negative.
+ground      The ground is that of the picture, or a random one. In half of the recordings it has a
+            texture, 1/f, which moves with the object.
+lens        The lens blurs by .3 to .9 pixels.
+motion      The length is .06 to .5 of the sensor's shorter side, log-uniform. If the sensor follows
+            the object, it is up to 4. The object turns by up to 15 degrees, and grows by up to .15.
+            A quarter of the motions come back. See `random_motion`.
 pixels      See `random_pixels`.
 """
 
@@ -34,9 +34,9 @@ from async_tnt.simulation.random_pixels import random_pixels
 SHORTEST = 0.06
 """Least length of a motion, as a share of the sensor's shorter side."""
 LONGEST = 0.5
-"""Greatest length of a motion, likewise."""
+"""Greatest length of a motion, as a share of the sensor's shorter side."""
 LONGEST_FOLLOWED = 4.0
-"""Greatest length of a motion that the sensor follows, likewise."""
+"""Greatest length of a motion that the sensor follows, as a share of the sensor's shorter side."""
 MOST_TURN = np.radians(15.0)
 """Largest turn of a motion, in radians."""
 MOST_GROWTH = 0.15
@@ -49,7 +49,7 @@ CONTRASTS = (2.0, 15.0)
 BLURS_PX = (0.3, 0.9)
 """Range of the standard deviation of the lens' blur, in pixels."""
 POSTURE = 0.08
-"""Distance by which a corner is moved inwards at most, as a share of the object's size."""
+"""Largest distance by which a corner is moved inwards, as a share of the object's size."""
 TEXTURED = 0.5
 """Share of the recordings whose ground has a texture."""
 TEXTURE = 0.15
@@ -57,21 +57,22 @@ TEXTURE = 0.15
 FADES = 0.1
 """Width of the rim in which a photograph fades into its ground, as a share of its sides."""
 APART = 0.25
-"""Difference between the luminance of an object that is cut out and its ground, at least."""
+"""Least difference between the mean luminance of an object and its random ground."""
 
 FINENESS = 2
-"""Places of the image in a sensor pixel."""
+"""Number of places of the image along a side of a sensor pixel."""
 FRAMES_A_PX = 2.0
-"""Frames for each pixel of a motion: they are closer together in time where it is faster. The light
-changes linearly from one frame to the next."""
+"""Number of frames for each pixel of a motion. So where the motion is faster, frames are closer
+together in time. The light changes linearly from one frame to the next."""
 FEWEST_FRAMES = 52
-"""Frames of a recording without motion."""
+"""Number of frames of a recording without motion."""
 MOST_FRAMES = 500
-"""Frames of a recording, at most."""
+"""Largest number of frames of a recording."""
 FINE = 4_000
-"""Moments at which a motion is drawn."""
+"""Number of moments at which a motion is computed, before its frames are chosen."""
 LIGHTS = "positive", "negative", "both"
-"""Whether bright and dark are as on the picture, as on its negative, or either at random."""
+"""Values of `SceneSettings.light`: bright and dark are as on the picture, as on its negative, or
+one of the two at random."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +83,11 @@ class SceneSettings:
     ----------
     sensor : (width, height), in pixels.
     window_us : length of a recording, in microseconds.
-    size : range of the object's longer side, as a share of the sensor's shorter one.
+    size : range of the object's longer side, as a share of the sensor's shorter side.
     light : one of `LIGHTS`.
-    follow : the sensor is a crop of a larger one, which follows the object in steps of whole
-        pixels.
-    camera : what is known of the camera's pixels; None: nothing.
+    follow : whether the sensor is a crop of a larger sensor. The crop follows the object in steps
+        of whole pixels.
+    camera : measured pixels of the camera; None: nothing is known of them.
     """
 
     sensor: tuple[int, int]
@@ -125,29 +126,33 @@ def record_picture(
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
     scene = _scene(picture, side_px, reach, settings, rng)
 
-    # at half time the object is anywhere on the sensor
-    half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
-    free = np.maximum(0, np.array(settings.sensor) / 2 - half)
+    # At half time the object is anywhere on the sensor, but all of it.
+    size_px = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape)
+    free = np.maximum(0, np.array(settings.sensor) / 2 - size_px / 2)
     middle = (np.array(scene.sensor) - 1) / 2
-    displacement = middle + rng.uniform(-free, free) - scene.centre + motion
+    place = middle + rng.uniform(-free, free)
+    displacement = place - scene.centre + motion
 
     times_us = settings.window_us * shares
     pixels = random_pixels(rng, settings.camera)
     if not settings.follow:
         return scene.events(times_us, displacement, turn, pixels, rng)
 
-    # The crop moves over a large sensor. To simulate all of that takes three times as long as to
-    # simulate, part by part of the way, what is near the crop.
+    # The crop moves over a large sensor. The way is divided into parts, and for each part only the
+    # pixels near the crop are simulated. To simulate the whole sensor takes three times as long.
     parts = []
     way_px = np.hypot(*np.diff(motion, axis=0).T).sum()
     n_parts = max(1, math.ceil(way_px / smaller))
-    for frames in np.array_split(np.arange(len(times_us) - 1), n_parts):
-        some = slice(frames[0], frames[-1] + 2)
-        first = np.floor(motion[some].min(0)).astype(int)
-        last = np.ceil(motion[some].max(0)).astype(int)
+    steps = np.arange(len(times_us) - 1)  # step k leads from frame k to frame k + 1
+    for part_steps in np.array_split(steps, n_parts):
+        frames = slice(part_steps[0], part_steps[-1] + 2)
+        first = np.floor(motion[frames].min(0)).astype(int)
+        last = np.ceil(motion[frames].max(0)).astype(int)
         width, height = (np.array(settings.sensor) + last - first).tolist()
         part = replace(scene, sensor=(width, height))
-        events = part.events(times_us[some], displacement[some] - first, turn[some], pixels, rng)
+        events = part.events(
+            times_us[frames], displacement[frames] - first, turn[frames], pixels, rng
+        )
         parts.append(_crop(events, times_us, motion, first, settings.sensor))
     return np.concatenate(parts)
 
@@ -155,13 +160,16 @@ def record_picture(
 def _draw_motion(
     settings: SceneSettings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A random motion: the times of its frames, and displacement and turn at these times.
+    """Draw a random motion.
 
-    Times are shares of the window, (n,). The displacement is in pixels, (n, 2), and the turn is
-    as `PeriodicImage.frames` takes it, (n, 2).
+    Returns
+    -------
+    The times of its frames, as shares of the window, (n,). The displacement at these times, in
+    pixels, (n, 2). The turn at these times, (n, 2), see `PeriodicImage.frames`.
     """
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
-    length = min(settings.sensor) * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
+    log_share = rng.uniform(*np.log((SHORTEST, longest)))
+    length = min(settings.sensor) * float(np.exp(log_share))
     fine = np.linspace(0, 1, FINE)
     motion, turn = random_motion(
         length, fine, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
@@ -170,20 +178,21 @@ def _draw_motion(
 
 
 def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """When frames are made, and where the image is then.
+    """Choose the times of the frames: more of them where the motion is faster.
 
     Parameters
     ----------
-    motion, turn : (N, 2) each, at N moments, evenly over the window.
+    motion, turn : (N, 2) each, at N moments that are spread evenly over the window.
 
     Returns
     -------
-    Shares of the window, (n,), and motion and turn there, (n, 2) each.
+    The times of the n frames, as shares of the window, (n,), and motion and turn at these times,
+    (n, 2) each.
     """
     shares = np.linspace(0, 1, len(motion))
     steps_px = np.hypot(*np.diff(motion, axis=0).T)
     gone_px = np.concatenate([[0.0], np.cumsum(steps_px)])
-    # how many frames are made until each moment
+    # the number of frames that are wanted up to each moment
     n_until = FRAMES_A_PX * gone_px + FEWEST_FRAMES * shares
     n = int(min(np.ceil(n_until[-1]), MOST_FRAMES))
     at = np.interp(np.linspace(0, n_until[-1], n + 1), n_until, shares)
@@ -191,7 +200,7 @@ def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _columns_at(at: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Two columns of values, (N, 2), interpolated at other places: (n, 2)."""
+    """Values, (N, 2), that are known at `places`, interpolated at the places `at`: (n, 2)."""
     return np.stack([np.interp(at, places, column) for column in values.T], axis=1)
 
 
@@ -202,14 +211,14 @@ def _crop(
     first: np.ndarray,
     sensor: tuple[int, int],
 ) -> np.ndarray:
-    """What a crop sees that moves along with the object. The events are changed in place.
+    """The events of a crop that moves along with the object.
 
     Parameters
     ----------
-    events : events of a larger sensor.
-    times_us, motion : where the crop is, (n, 2), at these times, in pixels.
-    first : (x, y): pixel (0, 0) of the larger sensor is the first one of a crop that has moved by
-        so much.
+    events : events of a larger sensor. Changed in place.
+    times_us, motion : the displacement of the crop at n times, (n, 2), in pixels.
+    first : (x, y): the displacement of a crop whose first pixel is pixel (0, 0) of the larger
+        sensor.
     sensor : (width, height) of the crop.
     """
     inside = np.ones(len(events), bool)
@@ -232,26 +241,37 @@ def _scene(
 
     Parameters
     ----------
+    picture : the object.
     side_px : the object's longer side, in pixels.
-    reach : (x, y), pixels by which the object moves either way. Copies of the object on the torus
-        are so far apart, unless a crop follows it.
+    reach : (x, y), the largest displacement of the object, in pixels. The image repeats itself, so
+        its copies of the object must stay off the sensor. A crop that follows the object needs no
+        such distance.
+    settings : camera and scene.
+    rng : draws the scene.
     """
     sensor = np.array(settings.sensor)
-    apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
+    gap = np.full(2, 0.5 * side_px)
+    if not settings.follow:
+        gap = np.maximum(gap, 2 * reach)
+    # the distance between copies of the object; it is still enough after a turn and growth
+    apart = sensor + side_px + gap
     apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
     # Sides that are multiples of 8 have a fast Fourier transform.
     shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])
 
+    # the ground
     if rng.random() < TEXTURED:
         texture = rng.uniform(0, TEXTURE) * _texture(shape, rng)
     else:
         texture = np.zeros(shape)
     ground = picture.ground
     if ground is None:
-        ground = _random_ground(float(covered.sum() / max(cover.sum(), 1e-6)), rng)
+        luminance = float(covered.sum() / max(cover.sum(), 1e-6))
+        ground = _random_ground(luminance, rng)
     seen = np.clip(ground + texture, 0, 1)
 
+    # the object in the middle of the ground
     rows, columns = cover.shape
     top = (shape[0] - rows) // 2
     left = (shape[1] - columns) // 2
@@ -260,15 +280,17 @@ def _scene(
     if settings.light == "negative" or (settings.light == "both" and rng.random() < 0.5):
         seen = 1.0 - seen
 
+    # the lens, and luminance from `darkest` to 1
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
-    darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
+    contrast = np.exp(rng.uniform(*np.log(CONTRASTS)))
+    darkest = 1.0 / contrast
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
     image = np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1))
     return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor)
 
 
 def _random_ground(luminance: float, rng: np.random.Generator) -> float:
-    """The luminance of a ground about an object of this mean luminance."""
+    """The luminance of a random ground around an object with this mean luminance."""
     ground = rng.uniform(0, 1)
     if abs(ground - luminance) >= APART:
         return ground
@@ -282,8 +304,8 @@ def _posed(
 
     Returns
     -------
-    light : float64, (h, w): the object's light times its cover.
-    cover : float64, (h, w): which share of each place the object covers.
+    light : float64, (h, w): the object's luminance times its cover.
+    cover : float64, (h, w): the share of each place that the object covers.
     """
     from PIL import Image
 
@@ -291,18 +313,19 @@ def _posed(
     height, width = [max(2, round(side * n / longer)) for n in picture.light.shape]
     size = (width, height)
     corners = np.array([(0, 0), (0, height), (width, height), (width, 0)], float)
-    # less for a thin object, whose corners must not cross
+    # the corners of a thin object move less, so that they do not cross
     most = np.minimum(POSTURE * side, np.array(size) / 3)
-    seen = corners + most * rng.uniform(0, 1, (4, 2)) * np.where(corners > 0, -1, 1)
+    inwards = np.where(corners > 0, -1, 1)
+    seen = corners + most * rng.uniform(0, 1, (4, 2)) * inwards
     coefficients = _perspective(seen, corners)
 
+    # a photograph has no ground of its own: it fades into the random one
     is_photograph = picture.ground is None and picture.cover.min() == 1
     cover = _rim(picture.cover) if is_photograph else picture.cover
     layers = []
     for layer in (picture.light * cover, cover):
-        sized = Image.fromarray(np.asarray(layer, np.float32)).resize(
-            size, Image.Resampling.BILINEAR
-        )
+        original = Image.fromarray(np.asarray(layer, np.float32))
+        sized = original.resize(size, Image.Resampling.BILINEAR)
         posed = sized.transform(
             size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR
         )
@@ -311,7 +334,7 @@ def _posed(
 
 
 def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
-    """The coefficients (a, ..., h) of the perspective that takes `seen` to `corners`, four places:
+    """The coefficients (a, ..., h) of a perspective, which maps the four `seen` to the `corners`:
 
     (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y + 1))
     """
@@ -331,7 +354,7 @@ def _rim(cover: np.ndarray) -> np.ndarray:
 
 
 def _texture(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-    """A random field of power 1/f^2 and deviation 1, which repeats itself."""
+    """A random field that repeats itself. Its power is 1/f^2, and its standard deviation is 1."""
     radius = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
     radius[0, 0] = np.inf
     field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) / radius, shape)

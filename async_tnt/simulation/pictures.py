@@ -1,12 +1,12 @@
-"""From pictures of objects to luminance, and where the object is.
+"""Read a picture of an object: its luminance, and which pixels are the object.
 
-Values are linear luminance: sRGB is decoded, and colours are weighted as in Rec. 709. What the
-object is depends on the picture:
+Luminance is linear: sRGB is decoded, and colours are weighted as in Rec. 709. Which pixels belong
+to the object depends on the picture:
 
-with an alpha channel       what is opaque
-on a plain ground           what differs from the ground: from the median of the picture's outermost
-                            pixels, if these are alike
-else, a photograph          all of it
+with an alpha channel       the opaque pixels
+on a plain ground           the pixels that differ from the ground. The ground is plain if the
+                            picture's outermost pixels are alike; its luminance is their median
+else, a photograph          all pixels
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from async_tnt.base.messages import one_line
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of the formats of these suffixes. Pillow would also open files of other formats by
-their first bytes, and start programs for some."""
+"""Pillow's names of the formats with these suffixes. Without this list, Pillow would open files of
+other formats, too, which it knows by their first bytes, and start programs for some of them."""
 MAX_PIXELS = 50_000_000
-"""Pixels of the largest picture that is read: to decode more takes more than a gigabyte."""
+"""Most pixels of a picture that is read. To decode more pixels takes more than a gigabyte."""
 LARGEST_SIDE = 512
-"""Larger pictures are made smaller: no object is that large on an event camera."""
+"""Longest side of a picture, in pixels. Larger pictures are made smaller, because no object is that
+large on an event camera."""
 ALIKE = 0.03
-"""Standard deviation of the luminance of a plain ground, at most."""
+"""Largest standard deviation of the luminance of a plain ground."""
 DIFFERS = 0.05
-"""Difference of luminance from the ground, from which on a pixel belongs to the object."""
+"""Least difference between the luminance of the ground and of a pixel of the object."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""What red, green and blue add to the luminance."""
+"""Weights of red, green and blue in the luminance."""
 
 
 @dataclass(frozen=True)
@@ -54,26 +55,27 @@ class Picture:
 
 
 def read_picture(path: Path) -> Picture:
-    """The object of a picture file.
+    """Read the object of a picture file.
 
     Raises
     ------
     ValueError : the file is no picture of one of the `FORMATS`, is damaged, has more than
         `MAX_PIXELS`, is a pointer of Git LFS, or shows nothing.
-    OSError : it is no regular file, or cannot be read.
+    OSError : the file is no regular file, or cannot be read.
     """
     refuse_git_lfs(path)
     try:
         colours = _colours(path)
     except ImportError:
         raise
-    except Exception as error:  # a damaged file surfaces as any of a dozen types
+    except Exception as error:  # a damaged file raises one of a dozen types of errors
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ValueError(f"not a picture: {one_line(error)}") from None
 
     rgb = colours[..., :3]
     alpha = colours[..., 3]
+    # decode sRGB
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     light = (linear @ LUMINANCE).astype(np.float32)
     if min(light.shape) < 2:
@@ -91,11 +93,14 @@ def read_picture(path: Path) -> Picture:
 
 
 def _colours(path: Path) -> np.ndarray:
-    """Red, green, blue and alpha from 0 to 1, (h, w, 4), upright, at most `LARGEST_SIDE` large."""
+    """Read red, green, blue and alpha: float32, (h, w, 4), from 0 to 1.
+
+    The picture is upright, and its sides are at most `LARGEST_SIDE`.
+    """
     with needs_extra("train", "pictures need Pillow"):
         from PIL import Image, ImageOps, UnidentifiedImageError
     with warnings.catch_warnings(), open_regular(path) as content:
-        # our limit is lower
+        # Pillow warns of pictures above its own limit; `MAX_PIXELS` is lower
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
             opened = Image.open(content, formats=FORMATS)
@@ -110,14 +115,14 @@ def _colours(path: Path) -> np.ndarray:
                     "make it smaller"
                 )
             image: Image.Image = ImageOps.exif_transpose(file)
-            # 16 bits and more, which `convert` would cut off
+            # values of 16 bits and more, which `convert` would cut off
             if image.mode.startswith(("I", "F")):
                 values = np.array(image, np.float32)
                 if not np.isfinite(values).all():
                     raise ValueError("a picture must have finite values")
                 values *= np.float32(255.0 / max(float(values.max()), 1e-12))
                 image = Image.fromarray(np.clip(values, 0, 255, out=values).astype(np.uint8))
-            # colours first: a picture with a palette would be made smaller without averaging
+            # colours first, because a picture with a palette is made smaller without averaging
             image = image.convert("RGBA")
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
             return np.asarray(image, np.float32) / 255.0
@@ -126,7 +131,7 @@ def _colours(path: Path) -> np.ndarray:
 def _cut_out(
     light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray
 ) -> Picture:
-    """The part of a picture between the object's outermost pixels."""
+    """Cut a picture to the smallest rectangle around its object."""
     if not is_object.any():
         raise ValueError("nothing is on this picture: all of it is transparent, or alike")
     rows = np.flatnonzero(is_object.any(1))

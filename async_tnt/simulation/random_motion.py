@@ -1,12 +1,13 @@
-"""Motions that nobody recorded, drawn at random.
+"""Draw motions at random.
 
-direction   Uniform.
-time        Half of them last the whole window, the others .4 to 1 of it, somewhere in it.
-speed       Half of them have a constant speed, the others the one of minimum jerk.
-shape       Half of them are straight; the others also go sideways meanwhile, by up to .4 of their
+direction   All directions are equally likely.
+time        Half of the motions last the whole window. The others last .4 to 1 of the window, and
+            begin at a random time.
+speed       Half of the motions have a constant speed. The others have the speed of minimum jerk.
+shape       Half of the motions are straight. The others also go sideways, by up to .4 of their
             length.
-turn        Meanwhile they turn and grow or shrink.
-back        Some turn round on their way and come back.
+turn        During a motion the object turns, and grows or shrinks.
+back        Some motions turn round on their way and come back.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from __future__ import annotations
 import numpy as np
 
 SHORTEST_TIME = 0.4
-"""Least duration, as a share of the window."""
+"""Least duration of a motion, as a share of the window."""
 WIDEST_BEND = 0.4
-"""How far a motion goes sideways at most, as a share of its length."""
+"""Largest distance that a motion goes sideways, as a share of its length."""
 TURNS_AT = (0.4, 0.9)
-"""Least and greatest share of its way after which a motion turns round, if it does."""
+"""Range of the share of its time after which a motion turns round, if it does."""
 TURN = np.radians(6.0)
-"""Turn of a whole motion, in radians, at most."""
+"""Largest turn of a whole motion, in radians."""
 GROWTH = 0.06
-"""Growth of a whole motion, as the logarithm of the size, at most."""
+"""Largest growth of a whole motion, as the logarithm of the size."""
 
 
 def random_motion(
@@ -38,17 +39,18 @@ def random_motion(
 
     Parameters
     ----------
-    length : length of the way, without the way back; the displacement is in its unit.
+    length : length of the way, without the way back. The displacement has the same unit.
     shares : float64, (n,), moments as shares of the window, increasing from 0 to 1.
     rng : draws the motion.
     most_turn : largest turn of the whole motion, in either direction, in radians.
     most_growth : largest change of the logarithm of the size, in either direction.
-    back : share of motions that turn round, at .4 to .9 of their time, and come back.
+    back : share of the motions that turn round and come back. They turn round at a share of their
+        time within `TURNS_AT`.
 
     Returns
     -------
     Displacement and turn at these moments, float64, (n, 2) each, see `PeriodicImage.frames`. Both
-    are 0 at half time.
+    are 0 at half of the window.
     """
     angle = rng.uniform(0.0, 2 * np.pi)
     lasts = 1.0 if rng.random() < 0.5 else rng.uniform(SHORTEST_TIME, 1.0)
@@ -60,10 +62,11 @@ def random_motion(
     turns_at = rng.uniform(*TURNS_AT) if back and rng.random() < back else 1.0
 
     def position(share: np.ndarray) -> np.ndarray:
-        """x, y, angle and growth since the motion's start."""
+        """The change of x, y, angle and growth since the motion's start: (n, 4)."""
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
-        # the way back is as fast, to the start
+        # the way back is as fast as the way out, and ends at the start
         u = np.where(u < turns_at, u / turns_at, np.maximum(0.0, 2.0 - u / turns_at))
+        # the share of the length that the motion has gone, and how far it is sideways
         forward = u if constant else minimum_jerk(u)
         aside = bend * minimum_jerk((u - bend_starts) / 0.5)
         cos = length * np.cos(angle)
@@ -77,6 +80,6 @@ def random_motion(
 
 
 def minimum_jerk(share: np.ndarray) -> np.ndarray:
-    """10 u^3 - 15 u^4 + 6 u^5: from 0 to 1, at rest at both ends."""
+    """The position 10 u^3 - 15 u^4 + 6 u^5 at the time u: from 0 to 1, at rest at both ends."""
     u = np.clip(share, 0.0, 1.0)
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))

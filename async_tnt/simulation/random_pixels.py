@@ -1,8 +1,8 @@
-"""Cameras that nobody measured, drawn at random: pixels over the ranges that event cameras have.
+"""Draw the pixels of cameras at random, over the ranges that event cameras have.
 
-thresholds    .1 to .4 in log luminance, log-uniform; ON against OFF within a factor of 1.4 in two
-              thirds of the cameras
-mismatch      .03 to .25
+thresholds    .1 to .4 in log luminance, log-uniform; the ratio of ON and OFF is within a factor of
+              1.4 in two thirds of the cameras
+mismatch      .03 to .25: the standard deviation, over pixels, of the log of the thresholds
 refractory    .1 to 3 ms, log-uniform
 bandwidth     200 to 5,000 Hz in the brightest light, log-uniform
 noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of them are ON
@@ -11,10 +11,10 @@ after-pulses  half of the cameras have none; in the others up to a third of the 
 hot pixels    half of the cameras have none; in the others up to one pixel in 500 is hot, with 50
               events a second
 
-What a recording of a camera tells of its pixels takes the place of these ranges. Ratio of
-thresholds, noise and after-pulses are drawn within a quarter of what was measured. The refractory
-time is at most its measured bound. A recording without a quiet pixel tells no noise. One without
-two events of a pixel tells no refractory time.
+If a recording of the camera exists, what it tells replaces these ranges. The ratio of thresholds,
+noise and after-pulses are drawn within a factor of 1.25 of the measured values. The refractory time
+is drawn between 0 and its measured bound. Two values may be missing. A recording without noise at a
+quiet pixel tells no noise. A recording without two events of one pixel tells no refractory time.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ NOISE_HZ = (0.01, 3.0)
 NOISE_ON_SHARES = (0.1, 1.0)
 """Range of the share of the noise that is ON."""
 LEAK_HZ = 0.3
-"""Most events that leak, a pixel and second."""
+"""Largest rate of the ON events that leak, in events a pixel and second."""
 AFTER_SHARE = 1 / 3
 """Largest share of the events that an after-pulse follows."""
 HOT_SHARE = 1 / 500
 """Largest share of the pixels that are hot."""
 HOT_HZ = 50.0
-"""Events of a hot pixel a second, in the mean."""
+"""Mean rate of a hot pixel, in events a second."""
 NEAR = 1.25
-"""Factor by which a known camera may differ from what a recording tells, at most."""
+"""Largest factor by which a drawn value differs from the value that was measured on a recording."""
 
 
 def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None) -> PixelModel:
@@ -55,12 +55,12 @@ def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None
 
     Parameters
     ----------
-    rng : draws them.
-    camera : what a recording tells of the camera; None: nothing is known.
+    rng : draws the pixels.
+    camera : the camera's pixels as measured on a recording; None: nothing is known of them.
     """
 
     def between(low: float, high: float) -> float:
-        """A number, log-uniform."""
+        """Draw a number. Its logarithm is uniform."""
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     threshold = between(*THRESHOLDS)
@@ -77,7 +77,7 @@ def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None
         ratio = camera.step_on / camera.step_off * between(1 / NEAR, NEAR)
         after_share = camera.after_share * between(1 / NEAR, NEAR)
         if camera.noise_hz:
-            # the measured noise contains what leaks
+            # the measured noise includes the events that leak
             noise_hz = camera.noise_hz * between(1 / NEAR, NEAR)
             noise_on_share = camera.noise_on_share
             leak_hz = 0.0

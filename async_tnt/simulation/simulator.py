@@ -1,4 +1,4 @@
-"""Pixels of an event camera: from frames of log luminance to events.
+"""Simulate the pixels of an event camera: from frames of log luminance to events.
 
 Between two frames the log luminance L of a pixel is interpolated linearly. With the reference level
 R:
@@ -6,27 +6,29 @@ R:
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
 
-This repeats as often as L gets there. After an event at t the pixel is held in reset for
-`refractory_us`: it sees nothing, and then R := L(t + refractory_us). Times are rounded to whole
-microseconds, and events are sorted by (t, y, x). Events of one pixel at one time stay in order.
+A pixel has an event each time L reaches such a threshold. After an event at t the pixel is held in
+reset for `refractory_us`: it sees nothing. Then R := L(t + refractory_us). Times are rounded to
+whole microseconds, and events are sorted by (t, y, x). Events of one pixel at one time stay in the
+order in which they occurred.
 
-What a circuit adds, each off by default:
+Real circuits have these effects, too. All are off by default:
 
     bandwidth     The pixel follows its light as a low-pass does, y' = 2 pi f (L - y), the slower
                   the darker it is: f = bandwidth_hz max(exp(L), DARKEST), with L = 0 in the
                   brightest light.
-    leak          R drifts down by C_on leak_hz a second: ON events without a change.
-    after-pulses  Some events are followed by one of the other sign.
-    hot pixels    Some pixels have noise at a rate of their own.
+    leak          R drifts down by C_on leak_hz a second. So there are ON events even if L is
+                  constant.
+    after-pulses  Some events are followed by an event of the other sign.
+    hot pixels    Some pixels have much noise, each at a rate of its own.
 
 References
 ----------
 Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events: bandwidth in proportion to
 the light, leak. Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous
 Temporal Contrast Vision Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event
-Camera Simulator: crossings placed by linear interpolation between frames. ESIM drops events in the
-refractory time and keeps R. Here R follows the light, as in the pixel's circuit, whose capacitor is
-shorted during that time.
+Camera Simulator: the times of events by linear interpolation between frames. In ESIM, events in the
+refractory time are dropped, and R stays. Here R follows the light, as it does in the pixel's
+circuit, whose capacitor is shorted during the refractory time.
 """
 
 from __future__ import annotations
@@ -42,34 +44,37 @@ from async_tnt.kernels.training.simulate import low_pass, pixel_events
 from async_tnt.volume.events import EVENT_DTYPE, structured
 
 MIN_THRESHOLD = 1e-3
-"""Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
+"""Smallest threshold, in log luminance: a change by 0.1 %, far below the threshold of any pixel."""
 DARKEST = 0.1
-"""Luminance below which a pixel's bandwidth falls no further; 1 is the brightest."""
+"""Luminance below which a pixel's bandwidth falls no further. The brightest light has luminance
+1."""
 AFTER_US = 1_000
-"""Microseconds within which an after-pulse follows its event."""
+"""Longest time between an event and its after-pulse, in microseconds."""
 
 
 @dataclass(frozen=True)
 class PixelModel:
-    """The sensor's pixels.
+    """The parameters of a simulated sensor's pixels.
 
-    The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
+    The defaults are fitted to N-MNIST. `experiments/RESULTS.md` compares simulated and recorded
+    events.
 
     Attributes
     ----------
     threshold_on, threshold_off : mean contrast thresholds C_on and C_off, in natural log of
         luminance.
-    mismatch : standard deviation, over pixels, of the log of the thresholds; ON and OFF are
-        independent.
+    mismatch : standard deviation, over pixels, of the log of the thresholds. The ON and the OFF
+        threshold of a pixel are independent.
     refractory_us : microseconds that a pixel is held in reset after each event.
-    noise_hz : background events per pixel and second, uniform in time, independent of the light.
+    noise_hz : background events per pixel and second. Their times are uniform, and independent of
+        the light.
     noise_on_share : share of the background events that are ON.
-    bandwidth_hz : corner frequency of the pixel's low-pass in the brightest light; None: the pixel
-        has no low-pass.
+    bandwidth_hz : corner frequency of the pixel's low-pass in the brightest light, in hertz. None:
+        the pixel has no low-pass.
     leak_hz : ON events per pixel and second that leak in steady light.
     after_share : share of the events that an after-pulse follows.
     hot_share : share of the pixels that are hot.
-    hot_hz : background events of a hot pixel a second, in the mean.
+    hot_hz : mean number of background events of a hot pixel per second.
     """
 
     threshold_on: float = 0.197
@@ -111,16 +116,16 @@ def simulate(
 ) -> np.ndarray:
     """Events of a sensor whose pixels differ, begin in random states and add background noise.
 
-    Each pixel's reference level begins where the last event before the recording may have left it:
-    uniformly in [-C_on, C_off] about the first frame. Noise events do not reset the pixel and
-    ignore the refractory time.
+    A pixel's reference level begins at a random place, uniform from C_on below the first frame to
+    C_off above it. It may be anywhere there after events before the recording. Noise events do not
+    reset the pixel, and they ignore the refractory time.
 
     Parameters
     ----------
     log_frames : shape (K, H, W), natural log of luminance.
-    frame_times_us : shape (K,), increasing.
-    rng : source of all randomness. The same state gives the same events.
-    pixels : the pixels; `PixelModel()` by default.
+    frame_times_us : shape (K,), increasing, in microseconds.
+    rng : the source of all randomness. The same state gives the same events.
+    pixels : the parameters of the pixels; `PixelModel()` by default.
 
     Returns
     -------
@@ -128,7 +133,7 @@ def simulate(
 
     Raises
     ------
-    ValueError : wrong shapes, light that is not finite, or times that do not increase.
+    ValueError : shapes are wrong, light is not finite, or times do not increase.
     """
     if pixels is None:
         pixels = PixelModel()
@@ -154,19 +159,19 @@ def simulate(
     events = np.concatenate(parts)
     if pixels.after_share:
         events = np.concatenate([events, _after_pulses(events, pixels.after_share, rng)])
-    # stable; the last key counts most
+    # the sort is stable, and its last key counts most
     return events[np.lexsort((events["x"], events["y"], events["t"]))]
 
 
 def _thresholds(
     mean: float, mismatch: float, shape: tuple[int, ...], rng: np.random.Generator
 ) -> np.ndarray:
-    """A threshold for each pixel."""
+    """Draw a threshold for each pixel."""
     return np.maximum(mean * np.exp(mismatch * rng.standard_normal(shape)), MIN_THRESHOLD)
 
 
 def _after_pulses(events: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """After-pulses of this share of the events."""
+    """Draw after-pulses of a share of the events."""
     after = events[rng.random(len(events)) < share]
     after["t"] += rng.integers(1, AFTER_US, len(after))
     after["p"] ^= 1
@@ -181,13 +186,16 @@ def _noise(
     rng: np.random.Generator,
     pixels: PixelModel,
 ) -> np.ndarray:
-    """Background events: a Poisson process of the same rate at each pixel of a rectangle.
+    """Draw background events: a Poisson process of the same rate at each pixel of a rectangle.
 
     Parameters
     ----------
-    hz : events a pixel and second.
-    corner, shape : (row, column) of the rectangle's first pixel, and its (rows, columns).
-    times : the frames' times, in microseconds; the noise is between the first and the last.
+    hz : events per pixel and second.
+    corner, shape : (row, column) of the rectangle's first pixel, and the rectangle's (rows,
+        columns).
+    times : times of the frames, in microseconds. The noise is between the first and the last.
+    rng : draws the events.
+    pixels : tells the share of ON events.
     """
     span_us = times[-1] - times[0]
     events = np.empty(rng.poisson(hz * shape[0] * shape[1] * span_us * 1e-6), EVENT_DTYPE)
@@ -203,7 +211,9 @@ def _checked_frames(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The arguments of `simulate` as contiguous float64 arrays.
 
-    A ValueError if they break a rule.
+    Raises
+    ------
+    ValueError : an argument breaks a rule of `simulate`.
     """
     frames = np.ascontiguousarray(plain_array("log_frames", log_frames), np.float64)
     times = np.ascontiguousarray(plain_array("frame_times_us", frame_times_us), np.float64)

@@ -1,16 +1,16 @@
 """Train classifiers on recordings.
 
-Needs torch (extra `train`), which is imported when a name that uses it is.
+Training needs torch (extra `train`). The first use of a name that needs torch imports it.
 
-dataset_data                     windows of class folders to train, validate and test on
-VolumeChoice, Split, Work        how their events become volumes, what is held out, where events are
-                                 kept
-Recordings, make_windows         the same from events in memory, for `TrainingData`
-fit                              a finished model, with its record, from these
-settings_for, default_config     `TrainSettings` for a data set of any size, and its volume
-evaluate, pipeline_of            the accuracy of a model on windows; a torch module of the model
-VolumeDataset                    a folder's windows as volumes, for torch's DataLoader and networks
-                                 of one's own
+dataset_data                     reads class folders into windows to train, validate and test on
+VolumeChoice, Split, Work        arguments of `dataset_data`: how events become volumes, what is
+                                 held out, where events are kept
+Recordings, make_windows         turn events in memory into windows, for `TrainingData`
+fit                              trains on these windows; returns a finished model with its record
+settings_for, default_config     `TrainSettings` for a data set of any size; the default volume
+evaluate, pipeline_of            the accuracy of a model on windows; the model as a torch module
+VolumeDataset                    a folder's windows as volumes, for torch's DataLoader and for any
+                                 network
 """
 
 TYPE_CHECKING = False

@@ -1,25 +1,26 @@
-"""Augmentation of events: every epoch changes every window at random. All of it is our choice.
+"""Augmentation of events: every epoch changes every window at random.
 
-A window is moved in time and on the sensor, thinned, and sometimes mirrored, cut short, or made to
-show nothing:
+Each window is moved in time and on the sensor, and thinned. Some windows are mirrored, cut short,
+or made to show nothing. These changes are our choice, not the thesis':
 
-    start      the window's start is shifted. A live stream's windows start at its first event, some
-               milliseconds into N-MNIST's saccade; TNT magnifies what happens near the start, so
-               the network must not rely on it
+    start      the window's start is shifted. The windows of a live stream start at its first event,
+               which comes some milliseconds after N-MNIST's saccade has begun. TNT magnifies what
+               happens near the start, so the network must not rely on an exact start
     position   (x', y') = A (x - c) + c + shift
                A = rotation * shear * scale * mirror
-               c is the middle between the recording's outermost events: what is mirrored stays
-               where it was
+               c is the middle between the recording's outermost events, so that a mirrored object
+               stays where it was
     thinning   each event is kept with a probability that is drawn for each window
-    partial    the window ends early, as training for decisions before its end
-    late start the window begins in the middle of what happens
-    nothing    the events stand somewhere else: anywhere, as noise; at hot pixels; on a patch that
-               twinkles; or along a straight edge that crosses the sensor. No class is there, but as
-               many events as before
+    partial    the window ends early: the network learns to decide before a window's end
+    late start the window begins later, in the middle of the recorded motion
+    nothing    the window shows no class. It has as many events as before, but they stand somewhere
+               else: anywhere, as noise; at hot pixels; on a patch that twinkles; or along a
+               straight edge that crosses the sensor
 
-After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume.
-So augmented events are on a sensor with the same corners that is `FINE` times finer, see
-`fineness`. As the grid is mapped from corner to corner, it stays the same.
+After a rotation, positions are not whole pixels. Rounding them to whole pixels would leave stripes
+in the volume. So augmented events are on a finer sensor. It has the same corners, but `FINE` times
+as many positions from corner to corner, see `fineness`. The volume's grid is mapped onto the sensor
+from corner to corner, so the grid stays the same.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ KINDS = {
     "on a patch": PATCH,
     "along an edge": EDGE,
 }
-"""Kinds of windows that show no class: name -> what `Draws.nothing` holds."""
+"""Kinds of windows that show no class: name -> the value of `Draws.nothing`."""
 PATCH_SIDE = (0.1, 0.5)
 """Range of a patch's width and height, as shares of the sensor's."""
 EDGE_WAY = (0.2, 1.2)
@@ -58,7 +59,7 @@ EDGE_THICKNESS = (0.01, 0.1)
 EDGE_LENGTH = (0.4, 2.0)
 """Range of an edge's length, as a share of the sensor's longer side."""
 FINE = 32
-"""Positions of an augmented event in the width of a pixel."""
+"""Number of positions that an augmented event can have in the width of a pixel."""
 LATEST = 0.6
 """How far a late start is moved at most, as a share of the window's length."""
 
@@ -75,10 +76,11 @@ class Draws:
     keep : float64, (N,). Probability that an event is kept.
     seed : uint64, (N,). Decides which events are kept, and where events stand in a window that
         shows nothing.
-    nothing : int64, (N,). SHOWN, or what a window shows instead of its recording, see
-        `kernels.training.window_batches`.
-    place : float64, (N, 8). Where a window's substitute is, in pixels of `sensor`.
-    sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
+    nothing : int64, (N,). SHOWN if a window shows its recording. Otherwise the kind of nothing that
+        it shows instead, one of the values of `KINDS`.
+    place : float64, (N, 8). Where the events of a window that shows nothing stand, in pixels of
+        `sensor`, and the share of them that is ON. `of_nothing` fills it.
+    sensor : (width, height) of the augmented events' sensor. Events beyond it are dropped.
     """
 
     start_us: np.ndarray
@@ -92,16 +94,17 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer the sensor of augmented events is.
+    """How many times finer than `sensor` the sensor of augmented events is.
 
-    This is `FINE`, or less for a sensor with a side of over 1024 pixels.
+    It is `FINE` times finer, or less if a side of `sensor` has over 1024 pixels.
 
     Examples
     --------
     >>> fineness((34, 34)), fineness((1280, 720))
     (32, 25)
     """
-    return max(1, min(FINE, (MAX_SIDE - 1) // (max(sensor) - 1)))
+    finest = (MAX_SIDE - 1) // (max(sensor) - 1)  # the finer sensor has at most `MAX_SIDE` pixels
+    return max(1, min(FINE, finest))
 
 
 def unchanged(n: int, config: TNTConfig) -> Draws:
@@ -122,9 +125,9 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
 
 
 def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
-    """The draws with whole pixels if the volume is an image of times; otherwise `draws`.
+    """The draws on whole pixels, if the volume is an image of times; otherwise `draws` themselves.
 
-    Such an image takes an event between pixels for an event of each of them.
+    An image of times would count an event between pixels as an event of each of these pixels.
     """
     if config.representation not in TIME_IMAGES:
         return draws
@@ -136,15 +139,29 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
 
 
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
-    """The draws of the same windows, some of which show nothing.
+    """The draws of the same windows, but some windows now show nothing.
 
-    kinds : int64, (N,): SHOWN, or what a window shows instead, see `Draws.nothing`.
+    The last column of `Draws.place` is the share of ON events. The other columns depend on the kind
+    of nothing:
+
+    scattered, of one polarity, on a patch   left, top, width and height of where the events stand
+    at hot pixels                            x and y of three pixels
+    along an edge                            x and y of a point of the edge, its normal (cosine,
+                                             sine), its way along the normal in the window, its
+                                             thickness and its length
+
+    Parameters
+    ----------
+    draws : the draws of N windows.
+    kinds : int64, (N,): SHOWN, or the kind of nothing that a window shows, see `Draws.nothing`.
+    rng : draws where the events stand.
     """
     n = len(kinds)
     sensor = np.array(draws.sensor, np.float64)
     place = np.zeros((n, 8))
-    place[:, 2:4] = sensor  # all of it, from (0, 0) on
+    place[:, 2:4] = sensor  # the whole sensor, unless a kind needs less
     on_share = rng.uniform(0.0, 1.0, n)
+    # of one polarity: all events are ON, or all are OFF
     of_one = kinds == ONE_POLARITY
     on_share[of_one] = rng.random(of_one.sum()) < 0.5
 
@@ -154,10 +171,12 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
 
     hot = kinds == HOT_PIXELS
     place[hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((hot.sum(), 6)))
-    n_different = rng.integers(1, 4, hot.sum())  # one, two or three different pixels
+    # One, two or three of a window's three hot pixels are different. The others repeat the first.
+    n_different = rng.integers(1, 4, hot.sum())
     for k in (1, 2):
-        own = place[hot, 2 * k : 2 * k + 2]
-        place[hot, 2 * k : 2 * k + 2] = np.where((n_different > k)[:, None], own, place[hot, :2])
+        drawn = place[hot, 2 * k : 2 * k + 2]
+        is_different = (n_different > k)[:, None]
+        place[hot, 2 * k : 2 * k + 2] = np.where(is_different, drawn, place[hot, :2])
 
     edge = kinds == EDGE
     angle = rng.uniform(0.0, 2 * np.pi, edge.sum())
@@ -176,7 +195,9 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
 
 @dataclass(frozen=True)
 class Augmentation:
-    """The largest changes. Every draw is uniform, except for the ends of partial windows.
+    """How large the changes of windows may be, and how frequent.
+
+    All changes are drawn uniformly, except for the ends of partial windows.
 
     Parameters
     ----------
@@ -188,11 +209,13 @@ class Augmentation:
     scale : change of size, as a fraction.
     shear : shift of x, as a fraction of y.
     drop : fraction of the events that is dropped.
-    partial : fraction of windows that end early, but not before `partial_from_ms`; the logarithm of
-        their length is uniform.
-    late_start : fraction of windows that begin up to `LATEST` of their length later.
-    mirror : half of the windows are mirrored from left to right.
-    nothing : fraction of windows that show nothing, of all `KINDS` alike. They belong to no class.
+    partial : fraction of windows that end early.
+    partial_from_ms : earliest end of these windows, in milliseconds. The logarithm of their length
+        is drawn uniformly.
+    late_start : fraction of windows that begin later, by up to `LATEST` of their length.
+    mirror : whether half of the windows are mirrored from left to right.
+    nothing : fraction of windows that show nothing. All `KINDS` are equally likely. Such windows
+        belong to no class.
 
     Raises
     ------
@@ -224,14 +247,15 @@ class Augmentation:
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
         """The default augmentation for a sensor and a window.
 
-        The numbers are chosen for N-MNIST's 34x34 pixels and 105 ms, and scaled to others.
+        The numbers were chosen for N-MNIST's 34x34 pixels and 105 ms. They are scaled to other
+        sensors and windows.
 
         Parameters
         ----------
         config : a configuration with that sensor and window.
-        changes : values of other fields.
+        changes : fields of `Augmentation` with other values; these are not scaled.
         """
-        # distances between the outermost pixels, of which N-MNIST has 34
+        # N-MNIST's sensor has 34 pixels a side: 33 from the first to the last
         scale_px = (min(config.sensor) - 1) / 33
         scale_ms = config.window_us / 105_000
         scaled = cls(
@@ -246,6 +270,7 @@ class Augmentation:
         n = len(windows)
 
         def spread(by: float) -> np.ndarray:
+            """A number in [-by, by) for each window."""
             return rng.uniform(-by, by, n)
 
         start_us = np.rint(spread(1e3 * self.start_ms)).astype(np.int64)
@@ -266,6 +291,7 @@ class Augmentation:
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
         side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
 
+        # rotation * shear * scale * mirror, about the middle of the recording
         cos = scale * np.cos(angle)
         sin = scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))
@@ -276,7 +302,7 @@ class Augmentation:
         center = windows.recordings.middles[windows.recording]  # (n, 2)
         matrix[:, :, 2] = center + shift - np.einsum("nij,nj->ni", matrix[:, :, :2], center)
 
-        # an image of times takes an event between pixels for an event of each of them
+        # An image of times would count an event between pixels as an event of each of them.
         fine = 1 if config.representation in TIME_IMAGES else fineness(config.sensor)
         sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
         draws = Draws(

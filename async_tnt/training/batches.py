@@ -1,7 +1,6 @@
-"""Volumes of many windows at once, by the kernels that also process streams.
+"""Volumes of many windows at once, computed by the kernels that also process streams.
 
-Without augmentation a window's volume is bit for bit what `TNTVolume.array` holds after the same
-events.
+Without augmentation a window's volume is bit for bit the `TNTVolume.array` after the same events.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from async_tnt.volume.state import new_state
 
 
 class BatchVolumes:
-    """Makes the volumes of windows, in memory that it reuses.
+    """Computes the volumes of windows. Each call overwrites the volumes of the call before.
 
     Parameters
     ----------
@@ -59,7 +58,8 @@ class BatchVolumes:
         ----------
         windows : the windows.
         draws : their augmentation; None: as they are.
-        landmarks : with landmark `regressor` only: float64, shape (N, 2), (x, y) in grid pixels.
+        landmarks : float64, shape (N, 2), (x, y) in grid pixels. Only given with landmark
+            `regressor`.
 
         Returns
         -------
@@ -81,9 +81,9 @@ class BatchVolumes:
     def landmark_gradient(
         self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray
     ) -> np.ndarray:
-        """The gradient dL/dl of the landmarks from the gradient dL/dV of the volumes.
+        """The gradient dL/dl of a loss L by the landmarks, from its gradient dL/dV by the volumes.
 
-        V is what this object makes of `windows`, `draws` and `landmarks`.
+        V are the volumes that `__call__` computes from `windows`, `draws` and `landmarks`.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class BatchVolumes:
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
-        """The arguments that `window_volumes` and `landmark_gradients` begin with."""
+        """The first arguments of both `window_volumes` and `landmark_gradients`."""
         recordings = windows.recordings
         first = recordings.offsets[windows.recording]
         end = recordings.offsets[windows.recording + 1]
@@ -131,7 +131,7 @@ class BatchVolumes:
         )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:
-        """Landmarks in pixels of the events' sensor; zeros where none are given."""
+        """Landmarks in pixels of the events' sensor; zeros if `landmarks` is None."""
         if landmarks is None:
             return np.zeros((n, 2))
         sensor = np.array(draws.sensor) - 1
@@ -139,9 +139,9 @@ class BatchVolumes:
         return np.ascontiguousarray(landmarks * sensor / grid)
 
     def _state(self, sensor: tuple[int, int]) -> np.ndarray:
-        """The kernels' state, with the parameters for events of this sensor."""
+        """The state that the kernels work on, for events of this sensor."""
         if sensor not in self._states:
-            # the position of a landmark that is not the volume's own is set for each window
+            # With MEAN and GIVEN, the kernels move a fixed landmark for each window.
             fixed = self.config.landmark if self._about == OWN else "center"
             self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
         return self._states[sensor]

@@ -1,4 +1,4 @@
-"""What a model is trained, validated and tested on: windows of class folders, and their record."""
+"""Read a folder of class folders: windows to train, validate and test on, and their record."""
 
 from __future__ import annotations
 
@@ -41,26 +41,27 @@ def dataset_data(
     scenes: Mapping[str, Any] | None = None,
     work: Work = Work(),  # noqa: B008  (frozen)
 ) -> TrainingData:
-    """Windows of a folder of class folders, split by groups of recordings.
+    """Read a folder of class folders into windows to train, validate and test on.
 
-    Windows start at each recording's first event. Class folders may hold pictures, too. They are
-    split like recordings, and then recorded by simulated cameras, see `simulated_pictures`.
+    What is held out for validation are whole groups of recordings. The first window of a recording
+    starts at its first event. Class folders may hold pictures, too. They are split like recordings.
+    Then simulated cameras record them, see `simulated_pictures`.
 
     Parameters
     ----------
     folder : the data set; it has a folder for each class.
-    volume : how events become volumes. Only the sensor of a `TNTConfig` is replaced, by that of the
-        events; of a `VolumeChoice` the data set decides more.
-    pixels : the events to learn from, by their pixels; by default all.
-    reading : how files are read that do not say it themselves.
+    volume : how events become volumes. The data set replaces the sensor of a `TNTConfig`, and
+        nothing else. Of a `VolumeChoice`, it also decides the fields that the choice leaves open.
+    pixels : selects the events to learn from by their pixels; by default all.
+    reading : facts about files that do not state them.
     split : what is held out, and whether the part `Test` is read.
-    scenes : field of `SceneSettings` -> value, where it differs from the default.
+    scenes : name of a field of `SceneSettings` -> value, for fields that differ from the default.
     work : where events are kept, and how many processes record pictures.
 
     Raises
     ------
-    ValueError, OSError : as `read_part`; the same picture in two classes; a class without a window;
-        `groups` that are not found in a recording's name.
+    ValueError, OSError : as `read_part`; the same picture is in two classes; a class has no window;
+        `split.groups` is not found in a recording's name.
     """
     choice = VolumeChoice(volume) if isinstance(volume, TNTConfig) else volume
     how = Reading(pixels or Pixels(), reading or ReadOptions(), work)
@@ -119,7 +120,7 @@ def dataset_data(
 
 @dataclass(frozen=True)
 class _Shown:
-    """Recordings of a camera, and pictures after them."""
+    """The content of a data set: recordings of a camera, followed by pictures."""
 
     dataset: Dataset
     pictures: tuple[LabelledPicture, ...]
@@ -141,9 +142,10 @@ class _Shown:
 
     @property
     def kinds(self) -> np.ndarray:
-        """int64, (n,): labels that also tell recordings of a class from pictures of it.
+        """int64, (n,): a number for each pair of a class and a kind, recording or picture.
 
-        With them, the same share of both is held out.
+        The split holds out the same share of each number. So it holds out the same share of a
+        class's recordings and of its pictures.
         """
         labels = self.labels
         is_picture = np.arange(len(labels)) >= self.n_recordings
@@ -158,13 +160,14 @@ class _Shown:
 
 @dataclass(frozen=True)
 class _Recorded:
-    """All recordings, those of pictures last.
+    """All recordings: first those of a camera, then the simulated ones of pictures.
 
     Parameters
     ----------
-    learned, held_out : indices of `recordings`.
-    about : the record of the pictures; empty without any.
-    seconds : how long their simulation took.
+    recordings : all recordings.
+    learned, held_out : indices of the recordings to learn from, and of those that are held out.
+    about : what the model's record says of the pictures; empty without pictures.
+    seconds : how long the simulation took.
     """
 
     recordings: Recordings
@@ -177,7 +180,7 @@ class _Recorded:
 def _record(
     shown: _Shown, division: Division, scene: SceneSettings, seed: int, work: Work
 ) -> _Recorded:
-    """Record the pictures, if there are any."""
+    """Simulate recordings of the pictures, if there are any, and append them."""
     recordings = shown.dataset.recordings
     learned = division.learned
     held_out = division.held_out
@@ -208,7 +211,7 @@ def _windows(
 ) -> tuple[_Sides, list[int]]:
     """The windows of both sides, and the labels of classes whose last windows are held out.
 
-    n_real : number of recordings of a camera.
+    n_real : number of recordings of a camera, which come before those of pictures.
     """
     training = _windows_of(recorded.recordings, window_us, recorded.learned)
     validation = _windows_of(recorded.recordings, window_us, recorded.held_out)
@@ -223,7 +226,7 @@ def _windows_of(recordings: Recordings, window_us: int, which: np.ndarray | None
 
 
 def _longest_us(recordings: Recordings) -> int | None:
-    """The length of the longest recording, in microseconds; None without any."""
+    """The length of the longest recording, in microseconds; None without recordings."""
     if not len(recordings):
         return None
     last = recordings.offsets[1:] - 1
@@ -231,9 +234,9 @@ def _longest_us(recordings: Recordings) -> int | None:
 
 
 def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, int]) -> None:
-    """Refuse a class without a window, and warn of times in another unit.
+    """Refuse a class without a window. Warn if the times seem to be in another unit.
 
-    counts : class -> its recordings and pictures.
+    counts : class -> the number of its recordings and pictures.
     """
     has_windows = set(training.labels.tolist())
     silent = [name for k, name in enumerate(counts) if counts[name] > 0 and k not in has_windows]
@@ -249,7 +252,7 @@ def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, in
 
 
 def _read_test(folder: Path, how: Reading, dataset: Dataset) -> Dataset:
-    """The part `Test`: a folder, or what lists beside sessions say."""
+    """Read the part `Test`: the folder `Test`, or the sessions that the list for `Test` names."""
     test = folder / "Test"
     return read_part(test if test.is_dir() else folder, how, part="Test", first=dataset)
 
@@ -265,7 +268,7 @@ def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
     return np.asarray(mask, bool)
 
 
-# -- what is said of a data set --------------------------------------------------------------------
+# -- what the record and the notes say of a data set -----------------------------------------------
 
 
 def _about(
@@ -275,7 +278,7 @@ def _about(
     bad_pictures: list[str],
     pixels: Pixels,
 ) -> dict[str, Any]:
-    """What the recordings are, for the model's record."""
+    """A description of the recordings, for the model's record."""
     dataset = shown.dataset
     n_real = shown.n_recordings
     record: dict[str, Any] = {
@@ -299,7 +302,7 @@ def _about(
 
 
 def _notes_of_events(dataset: Dataset, where: str) -> list[str]:
-    """How many events were left out, and why; no line without any."""
+    """A line that tells how many events were left out, and why; no line if all are kept."""
     words = {"left_out_outside": "outside of the region", "left_out_masked": "of masked pixels"}
     counts = [f"{n:,} {words[name]}" for name, n in dataset.left_out_events.items()]
     if dataset.n_late:
@@ -312,9 +315,10 @@ def _notes_of_events(dataset: Dataset, where: str) -> list[str]:
 def _notes_of_volume(
     choice: VolumeChoice, config: TNTConfig, recorded: _Recorded, events_a_pixel: float | None
 ) -> list[str]:
-    """What the data set decided of the volume, and how its pictures were recorded.
+    """Lines that tell what the data set decided of the volume, and how pictures were recorded.
 
-    events_a_pixel : mean number of events of an active pixel in a window; None: it decided nothing.
+    events_a_pixel : mean number of events of an active pixel in a window. None: the data set did
+        not decide on time bins.
     """
     notes = []
     if config.window_us != choice.config.window_us:
@@ -335,7 +339,7 @@ def _notes_of_volume(
 def _notes_of_split(
     shown: _Shown, division: Division, record: dict[str, Any], validation: Windows, split: Split
 ) -> list[str]:
-    """How many recordings there are, which are held out, and what that leaves open."""
+    """Lines that tell how many recordings there are, and which classes are held out."""
     counts = shown.counts
     what = "recordings and pictures" if shown.pictures else "recordings"
     of_each = ", ".join(f"{name} {n}" for name, n in counts.items())
@@ -359,7 +363,7 @@ def _notes_of_split(
 
 
 def _note_of_ends(names: list[str]) -> str:
-    """What it means that the last windows of these classes are held out."""
+    """A line that explains what it means to hold out the last windows of these classes."""
     return (
         "held out in time, as there is only one recording, or one group of them: the last windows "
         f"of {', '.join(names)}; they are of the day, place and person that was learned from: only "

@@ -21,7 +21,7 @@ from async_tnt.training.work import Work
 from async_tnt.volume.sensor import Sensor, format_size
 
 MAX_US = 1 << 31
-"""The end of the times, in microseconds, that a column of int32 holds: 35 minutes."""
+"""The first time that does not fit a column of int32, in microseconds: 35 minutes."""
 Known = dict[bytes, tuple[int, str]]
 """Fingerprint of a recording that has been read -> its label and name."""
 
@@ -32,17 +32,20 @@ class Dataset:
 
     Parameters
     ----------
-    recordings : their times count from each recording's first event.
+    recordings : the recordings. Times count from each recording's first event.
     classes : names; `recordings.labels` are indices into them.
     camera : (width, height) of the camera.
-    sensor : (width, height) of these events: the camera's, or that of the region that was cropped.
+    sensor : (width, height) of the sensor that the events are on: the camera's, or the region's if
+        the events were cropped to a region.
     left_out : the recordings that were left out and why, one line each.
-    left_out_events : how many events of `recordings` were left out by their pixels:
-        `left_out_outside` of the region, `left_out_masked`. Empty without a region and a mask.
-    n_late : how many events were left out because they are older than their recording's first one,
-        where windows begin.
+    left_out_events : how many events of `recordings` were left out because of their pixels, under
+        the names `left_out_outside` (outside of the region) and `left_out_masked`. Empty without a
+        region and a mask.
+    n_late : how many events were left out because they are older than their recording's first
+        event, where the first window begins.
     n_off_sensor : how many events were left out because they lie off the camera's sensor.
-    known : what a second part of the data set must not hold, see `read_part`.
+    known : the recordings that have been read. Another part of the data set must not hold them, see
+        `read_part`.
     """
 
     recordings: Recordings
@@ -58,14 +61,14 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Reading:
-    """How the recordings of a data set are read, the same for all its parts.
+    """How the recordings of a data set are read. All parts of the data set are read the same way.
 
     Parameters
     ----------
-    pixels : the events to learn from, by their pixels. The others are removed as if they had never
-        been recorded: times count from the first event that is left.
-    options : how files are read that do not say it themselves. The sensor is that of `pixels`.
-    work : where the events are kept, and who is told.
+    pixels : selects the events to learn from by their pixels. The others are removed as if they had
+        never been recorded: times count from the first event that is left.
+    options : facts about files that do not state them. Its sensor is not used: `pixels` has it.
+    work : where the events are kept, and which progress bar is shown.
     """
 
     pixels: Pixels
@@ -88,10 +91,11 @@ def read_dataset(
     ----------
     folder : the data set.
     part : the folder in it that is read, where there is one.
-    pixels : the events to keep, by their pixels; by default all.
-    reading : how files are read that do not say it themselves.
-    work : where the events are kept, and who is told.
-    classes : the class names that may occur; by default the folders there are, at least two.
+    pixels : selects the events to keep by their pixels; by default all.
+    reading : facts about files that do not state them.
+    classes : the class names that may occur; by default the names of the class folders, of which
+        there must be two.
+    work : where the events are kept, and which progress bar is shown.
 
     Raises
     ------
@@ -112,31 +116,41 @@ def read_part(
 ) -> Dataset:
     """Read the recordings of one part of a data set.
 
-    The recordings state their sensor and agree, or `reading.pixels` has the camera's for those that
-    do not state one. Recordings that cannot be read, have no events, or have so many events off the
-    sensor that they must be of another camera are left out. So are single events off the sensor,
-    and events older than their recording's first one, as in a stream. The others are sorted by
-    time.
+    All recordings must be of one sensor. `reading.pixels` states it, or at least one of the
+    recordings.
 
-    The same recording in two classes is an error: one of its labels is wrong. In one class, the
-    second one is left out: it might be learned on one side of the split and asked about on the
-    other. All events are compared, also those that are removed.
+    These recordings and events are left out:
+
+    - a recording that cannot be read, that has no events, or that has so many events off the sensor
+      that it must be of another camera
+    - single events off the sensor
+    - events that are older than the first event of their recording, as in a stream
+
+    All other events are sorted by time.
+
+    The same recording in two classes is an error, as one of its labels is wrong. Of two copies in
+    one class, the second one is left out. Otherwise the model might learn from one copy and be
+    validated on the other. The comparison covers all events, also those that `reading.pixels`
+    removes.
 
     Parameters
     ----------
     folder : the data set.
     reading : how its files are read.
     part : the folder in it that is read, where there is one.
-    classes : the class names that may occur; by default the folders there are, at least two.
-    with_pictures : classes that need no recordings, as they have pictures.
-    first : the part that is trained on. This part has its camera and its classes. Its recordings
-        are left out here, and refused in another class.
+    classes : the class names that may occur; by default the names of the class folders, of which
+        there must be two.
+    with_pictures : classes that need no recordings, because they have pictures.
+    first : the part to train on, when another part is read. The other part must be of the same
+        camera and classes. A recording that is in `first`, too, is left out. If its class differs,
+        it is an error.
 
     Raises
     ------
-    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or
-        with none left; the same recording in two classes; recordings of different sensors, or of an
-        unknown one; a region or a mask that does not fit the sensor; a recording that is too long.
+    ValueError : there are fewer than two classes, or classes that are not in `classes`; a class has
+        no recordings, or none is left; the same recording is in two classes; the recordings are of
+        different sensors, or no sensor is stated; a region or a mask does not fit the sensor; a
+        recording is too long.
     OSError : the folder does not exist.
     """
     pixels = reading.pixels
@@ -147,9 +161,9 @@ def read_part(
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes, with_pictures)
     names = tuple(found) if classes is None else classes
-    labelled = [
-        (label, recording) for label, name in enumerate(names) for recording in found.get(name, [])
-    ]
+    labelled = []
+    for label, name in enumerate(names):
+        labelled += [(label, recording) for recording in found.get(name, [])]
 
     camera = _camera_of(pixels, first)
     if camera is None:
@@ -188,7 +202,7 @@ class _Camera:
     Parameters
     ----------
     size : (width, height), in pixels.
-    source : the name of what states it: of a recording, or of a parameter.
+    source : what states it: the name of a recording, or of a parameter.
     is_parameter : whether `source` is a parameter.
     """
 
@@ -210,7 +224,7 @@ def _camera_of(pixels: Pixels, first: Dataset | None) -> _Camera | None:
 def _stated_camera(files: Sequence[LabelledRecording], options: ReadOptions) -> _Camera | None:
     """The sensor of the first recording that states one."""
     for file in files:
-        # an error is told when the recording is read
+        # a recording that cannot be opened is reported later, when it is read
         with contextlib.suppress(ValueError, OSError):
             stated = _opened(file, options).stated_sensor
             if stated is not None:
@@ -221,7 +235,7 @@ def _stated_camera(files: Sequence[LabelledRecording], options: ReadOptions) -> 
 def _read_all(
     labelled: Sequence[tuple[int, LabelledRecording]], reader: _Reader, reading: Reading
 ) -> tuple[Recordings, list[tuple[int, str]]]:
-    """All recordings that can be read; label and reason of each one that is left out."""
+    """Read all recordings. Returns them, and the label and the reason of each that is left out."""
     left_out: list[tuple[int, str]] = []
     bar = reading.work.progress(len(labelled), "reading")
     with RecordingsWriter(reading.work.store) as writer, bar:
@@ -244,7 +258,10 @@ def _check_left(
     classes: tuple[str, ...] | None,
     with_pictures: Collection[str],
 ) -> None:
-    """Refuse a class of which no recording is left. Of given `classes`, some may have none."""
+    """Refuse a class of which no recording is left.
+
+    With given `classes`, single classes may have no recordings, but not all of them.
+    """
     with_recordings = {names[label] for label in recordings.labels}
     empty = [name for name in names if name not in with_recordings and name not in with_pictures]
     some_left = len(recordings) > 0 or len(with_pictures) > 0
@@ -259,14 +276,14 @@ def _check_left(
 
 
 def _opened(file: LabelledRecording, options: ReadOptions) -> Recording:
-    """A recording, or the part that is labelled."""
+    """Open a recording, or the labelled part of a session."""
     return open_recording(
         file.path, strict=True, between_us=file.between_us, off_sensor="count", **asdict(options)
     )
 
 
 class _LeftOut(Exception):
-    """Why a recording is left out."""
+    """Raised for a recording that is left out. The message says why."""
 
 
 class _Reader:
@@ -280,7 +297,7 @@ class _Reader:
     pixels : which events are kept.
     options : how files are read.
     camera : the sensor; None if nothing states it.
-    known : recordings that have been read before; those that are read are added.
+    known : recordings that have been read before. Each recording that is read is added.
     """
 
     def __init__(
@@ -302,18 +319,18 @@ class _Reader:
         self._filter = None if camera is None else pixels.filter_of(camera.size)
 
     def read(self, file: LabelledRecording, label: int) -> np.ndarray:
-        """The selected events, in order, with times from the first of them on.
+        """Read the selected events of a recording, sorted by time. Times count from the first one.
 
         Raises
         ------
         _LeftOut : the recording cannot be read, or is not for training.
-        ValueError : another sensor, or none; the same recording is in another class; it is too
-            long.
+        ValueError : the recording is of another sensor, no sensor is stated, the same recording is
+            in another class, or it is too long.
         """
         try:
             recording = _opened(file, self._options)
             if recording.sensor is None and self._camera is not None:
-                recording.sensor = self._camera.size  # another recording states it
+                recording.sensor = self._camera.size  # another recording stated it
             events = recording.read()
         except (ValueError, OSError) as error:
             raise _LeftOut(_message(error, file)) from None
@@ -350,10 +367,10 @@ class _Reader:
         )
 
     def _check_new(self, file: LabelledRecording, label: int, events: np.ndarray) -> None:
-        """Refuse a recording that is in another class, too; leave out one that was read before."""
+        """Refuse a recording that another class has, too. Leave out a copy in the same class."""
         mine = label, file.name
         first = self.known.setdefault(fingerprint(events), mine)
-        if first is mine:
+        if first is mine:  # these events have not been read before
             return
         first_label, first_name = first
         if first_label != label:
@@ -364,9 +381,9 @@ class _Reader:
         raise _LeftOut(f"{file.name}: the same events as {first_name}")
 
     def _selected(self, file: LabelledRecording, events: np.ndarray) -> np.ndarray:
-        """The events at the selected pixels, in order, with times from the first of them on.
+        """The events at the selected pixels, sorted by time. Times count from the first one.
 
-        Older ones than that are left out. The times of `events` may be changed.
+        Events that are older than the first one are left out. The times in `events` may be changed.
         """
         keep = self._filter
         kept = events
@@ -395,9 +412,10 @@ class _Reader:
 
 
 def _times_of(file: LabelledRecording, options: ReadOptions) -> str:
-    """The times that the file of a part without events has, for a message.
+    """A text about the times of a whole session, for a labelled part that has no events.
 
-    Often a label's times count from another origin, or in another unit.
+    Such a label often has times that count from another origin, or in another unit. The text is
+    empty for a recording that is no part of a session.
     """
     if file.between_us is None:
         return ""
@@ -409,9 +427,9 @@ def _times_of(file: LabelledRecording, options: ReadOptions) -> str:
 
 
 def fingerprint(events: np.ndarray) -> bytes:
-    """A digest of events, at least one.
+    """A digest of a recording's events, of which there must be one.
 
-    The same events have the same digest, whatever their file and the time they begin at.
+    The same events have the same digest in any file and with any start time.
     """
     hashed = hashlib.blake2b(digest_size=16)
     hashed.update((events["t"].astype(np.int64) - np.int64(events["t"][0])).tobytes())
@@ -426,7 +444,7 @@ def _check_classes(
     classes: tuple[str, ...] | None,
     with_pictures: Collection[str],
 ) -> None:
-    """Refuse folders that are no classes, and classes without files."""
+    """Refuse folders that are no known classes, and classes without files."""
     if classes is not None:
         unknown = [name for name in found if name not in classes]
         if unknown:
@@ -450,7 +468,7 @@ def _check_classes(
 
 
 def _message(error: Exception, file: LabelledRecording) -> str:
-    """A sentence, with the file's name in it, about an error of reading it."""
+    """A sentence about an error that occurred while a file was read. It names the file."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}."
     text = str(error)

@@ -1,19 +1,20 @@
 """The rule by which a training ends before its last epoch.
 
-It ends early where nothing that is measured on held-out windows can improve.
+A training settles when no measurement on held-out windows can improve any more. Then it ends early.
 
-The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does
-not stop where it stands: it is given `COOLING` more epochs, over which the rate falls.
+A model has the weights of the last epoch, and the learning rate must have fallen to 0 by then. So a
+settled training does not stop at once. It goes on for `COOLING` more epochs, over which the rate
+falls to 0.
 
-    settled      after the first epoch e that fulfils both conditions in all of the epochs
+    settled      after the first epoch e for which both conditions hold in all of the epochs
                  e - PATIENCE + 1 .. e:
-                 - every share of what is held out is 1
-                 - no held-out loss gains, that is, falls by the share GAIN or more below its value
-                   at its last gain
+                 - every value of `SHARES` is 1
+                 - no loss of `LOSSES` gains. A loss gains when it falls by the share GAIN or more
+                   below its value at its last gain
     last epoch   min(e + COOLING, the epochs that were asked for)
 
-All of it follows from the history alone, so that a training that was interrupted ends in the same
-epoch. Without anything held out, a training never settles.
+The rule depends on the history alone. So a training that was interrupted and resumed ends in the
+same epoch. Without anything held out, a training never settles.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ from collections.abc import Mapping, Sequence
 PATIENCE = 10
 """Epochs without an improvement after which a training has settled."""
 GAIN = 0.1
-"""Share by which a held-out loss must fall to count as an improvement. Where few windows are held
-out, all are soon right, and only their loss still tells that the network learns. An example is a
-training on three of N-MNIST's digits with 18 windows held out. All of these were right from epoch
-10 on, yet of 540 other windows .876 were right after 15 epochs, .898 after 34 and .915 after 98."""
+"""Share by which a held-out loss must fall to count as an improvement.
+
+Where few windows are held out, all of them are soon right. Then only their loss still tells that
+the network learns. An example is a training on three of N-MNIST's digits with 18 windows held out.
+All 18 were right from epoch 10 on. Yet the share of right windows among 540 others still rose: .876
+after 15 epochs, .898 after 34 and .915 after 98."""
 COOLING = 5
 """Epochs over which the learning rate falls to 0."""
 SHARES = ("per_window", "per_recording", "f1", "motions_per_window")
-"""Names, in the history, of shares of what is held out."""
+"""Names of the measurements in the history that are 1 when all that is held out is right."""
 LOSSES = ("validation_loss", "motions_validation_loss")
-"""Names, in the history, of held-out losses."""
+"""Names of the measurements in the history that are losses on held-out windows."""
 
 
 def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
-    """The epoch, from 1 on, after which nothing that is measured could improve.
-
-    None if there is no such epoch yet.
+    """The epoch, counted from 1, after which the training has settled; None if it has not yet.
 
     Parameters
     ----------
@@ -59,19 +60,19 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
         shares = [row[name] for name in SHARES if name in row]
         is_perfect = bool(shares) and min(shares) == 1.0
         n_perfect = n_perfect + 1 if is_perfect else 0
-        gained = [name for name in LOSSES if name in row and row[name] <= (1 - GAIN) * lowest[name]]
-        for name in gained:
-            lowest[name] = row[name]
-        n_without_gain = 0 if gained else n_without_gain + 1
+        has_gained = False
+        for name in LOSSES:
+            if name in row and row[name] <= (1 - GAIN) * lowest[name]:
+                lowest[name] = row[name]
+                has_gained = True
+        n_without_gain = 0 if has_gained else n_without_gain + 1
         if min(n_perfect, n_without_gain) >= PATIENCE:
             return epoch
     return None
 
 
 def share_while_cooling(step: int, first: int, last: int) -> float:
-    """The share of the learning rate of step `first` that is left at a step before `last`.
-
-    At step `last` it is 0.
+    """The share of the learning rate that is left at `step`: 1 at step `first`, 0 at step `last`.
 
     Examples
     --------

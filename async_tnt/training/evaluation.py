@@ -1,7 +1,7 @@
-"""How well a network classifies windows.
+"""Measure how well a network classifies windows.
 
-This is measured by window, by recording and against time. Its probabilities are compared with how
-often it is right.
+The accuracy is measured by window, by recording and against time. The probabilities of the
+network's decisions are compared with how often the decisions are right.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
 
 BATCH = 64
-"""Windows that are classified at a time. With 256, layers no longer fit into caches: a window takes
-240 us instead of 150."""
+"""Windows that are classified at a time. With 256, the layers' values no longer fit into the
+processor's caches: a window takes 240 us instead of 150."""
 SURE = 0.9
-"""Probability from which on a class counts as decided."""
+"""Least probability of a class that counts as sure."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What `evaluate` found: the class probabilities of N windows at moments, and what follows.
+    """The class probabilities of N windows at M moments, and the scores that follow from them.
 
     Parameters
     ----------
     windows : the N windows.
-    times_ms : M moments, in milliseconds since a window's start; the last one is its end.
+    times_ms : the M moments, in milliseconds since a window's start; the last one is its end.
     probabilities : float64, shape (M, N, n_classes), at these moments.
-    nothing : a kind of `augment.KINDS` -> float64, shape (N, n_classes): probabilities at the
-        windows' ends when their events stand somewhere else, so that nothing is shown.
+    nothing : name of a kind in `augment.KINDS` -> float64, shape (N, n_classes): probabilities at
+        the ends of windows that show this kind of nothing instead of their recordings.
     """
 
     windows: Windows
@@ -53,45 +53,53 @@ class Evaluation:
 
     @property
     def against_time(self) -> dict[float, float]:
-        """The share of windows that are right at each moment."""
+        """Moment, in milliseconds -> the share of windows that are classified right by then."""
         right = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
         return dict(zip(self.times_ms, right.tolist(), strict=True))
 
     @property
     def confusion(self) -> np.ndarray:
-        """Windows by true class (row) and decided class (column), (n_classes, n_classes)."""
+        """Number of windows by true class (row) and decided class (column).
+
+        int64, shape (n_classes, n_classes).
+        """
         return _confusion(self.windows.labels, self.complete)
 
     @property
     def recording_confusion(self) -> np.ndarray:
-        """Recordings by true class (row) and decided class (column), (n_classes, n_classes).
+        """Number of recordings by true class (row) and decided class (column).
 
-        The mean of its windows' probabilities decides a recording.
+        int64, shape (n_classes, n_classes). The class of a recording is decided by the mean of its
+        windows' probabilities.
         """
         return confusion_by_recording(self.complete, self.windows)
 
     @property
     def per_window(self) -> float:
-        """Share of windows classified right."""
+        """The share of windows that are classified right."""
         return share_right(self.confusion)
 
     @property
     def per_recording(self) -> float:
-        """Share of recordings classified right."""
+        """The share of recordings that are classified right."""
         return share_right(self.recording_confusion)
 
     @property
     def calibration_error(self) -> float:
-        """Expected difference between a decision's probability and the share that is right.
+        """The expected calibration error of the decisions at all moments together.
 
-        This is over all moments together.
+        It is the mean difference between a decision's probability and the share of such decisions
+        that is right.
         """
         probabilities, labels = self._all_moments
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
-        """The share of windows, for each kind of nothing, in which a class has at least `SURE`."""
+        """Kind of nothing -> the share of windows in which a class has a probability of `SURE`.
+
+        Such decisions are wrong, as the windows show no class.
+        """
         shares = {}
         for kind, probabilities in self.nothing.items():
             shares[kind] = float((probabilities.max(1) >= SURE).mean())
@@ -99,7 +107,7 @@ class Evaluation:
 
     @property
     def temperature(self) -> float:
-        """The number to divide the logits by, see `fit_temperature`, over all moments together."""
+        """The temperature that fits all moments together, see `fit_temperature`."""
         return fit_temperature(*self._all_moments)
 
     def at_temperature(self, temperature: float) -> Evaluation:
@@ -111,7 +119,7 @@ class Evaluation:
 
     @property
     def _all_moments(self) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities at all moments, and their labels."""
+        """Probabilities at all moments, (M N, n_classes), and their labels, (M N,)."""
         n_moments, _, n_classes = self.probabilities.shape
         return self.probabilities.reshape(-1, n_classes), np.tile(self.windows.labels, n_moments)
 
@@ -138,10 +146,11 @@ def class_probabilities(
 
     Parameters
     ----------
-    pipeline : the model; it may be in training.
+    pipeline : the model. If it is in training mode, it is in training mode again afterwards.
     windows : what to classify.
     until_us : only the events of each window's first `until_us` microseconds count; all by default.
-    nothing : what the windows show instead of their recordings, see `Draws`.
+    nothing : SHOWN, or the kind of nothing that the windows show instead of their recordings, see
+        `Draws`.
     """
     if len(windows) == 0:
         raise ParameterValueError("windows", "must hold at least one window", "none")
@@ -165,7 +174,10 @@ def class_probabilities(
 
 
 def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.ndarray:
-    """Recordings by true class (row) and the class of their windows' mean probability (column)."""
+    """Number of recordings by true class (row) and decided class (column).
+
+    The class of a recording is decided by the mean of its windows' probabilities.
+    """
     recordings, place = np.unique(windows.recording, return_inverse=True)
     total = np.zeros((len(recordings), probabilities.shape[1]))
     np.add.at(total, place, probabilities)
@@ -173,7 +185,7 @@ def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.nd
 
 
 def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Counts by true class (row) and likeliest class (column), (n_classes, n_classes)."""
+    """Counts by true class (row) and most probable class (column): (n_classes, n_classes)."""
     confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
     np.add.at(confusion, (labels, probabilities.argmax(1)), 1)
     return confusion
@@ -188,8 +200,8 @@ def evaluate(
     ----------
     pipeline : the model, see `pipeline_of`.
     windows : what to classify.
-    times_ms : moments, in milliseconds since the window's start; moments from its end on are left
-        out. A window without any event by then is decided from the empty volume.
+    times_ms : moments, in milliseconds since a window's start. Moments at its end or later are left
+        out. A window that has no event before a moment is classified by its empty volume.
     """
     end_ms = pipeline.config.window_us / 1e3
     moments = [float(ms) for ms in times_ms if ms < end_ms]

@@ -1,6 +1,6 @@
 """Make a finished model from windows.
 
-It is trained, and calibrated on what was held out. Its record says how it was made.
+The model is trained, and then calibrated on held-out windows. Its record says how it was made.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from async_tnt.training.temperature import calibrated
 from async_tnt.training.training_data import TrainingData
 
 STARTED_FROM = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
-"""Entries of the record of the model that a training continues, which the new model's record
-keeps."""
+"""Entries that a continued training copies from the record of the model it starts from."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,9 @@ class Fitted:
 
     Parameters
     ----------
-    model : calibrated. Its record says what it was trained on, how, and how accurate it is on what
-        was held out.
-    scores : the scores of the held-out recordings, see `scores_of`; None where nothing is held out,
+    model : the calibrated model. Its record says what it was trained on, how, and how accurate it
+        is on what was held out.
+    scores : the scores of the held-out recordings, see `scores_of`. None if nothing is held out,
         and for a map model.
     history : one dict per epoch, see `train`.
     """
@@ -74,12 +73,15 @@ def fit(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
-    """Train on `data.training`, calibrate and measure the accuracy on `data.validation`.
+    """Train a model on `data.training`. Calibrate it and measure its accuracy on `data.validation`.
 
     Parameters
     ----------
-    data, settings, run_folder, start, motions, teachers, progress, report : see `loop.train`, whose
-        errors pass through.
+    data, settings, run_folder, start, motions, teachers, progress, report : see `loop.train`.
+
+    Raises
+    ------
+    ValueError, OSError : as `loop.train`.
     """
     result = train(
         data,
@@ -143,13 +145,13 @@ def _record(
 def _scores_in_motions(model: Model, motions: Motions) -> dict[str, Any]:
     """The accuracy on held-out windows under other motions, for the record."""
     found = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
-    # each of these windows is a recording of its own
+    # Each of these windows is a recording of its own: scores by recording would repeat the others.
     return {name: value for name, value in found.items() if "recording" not in name}
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:
-    """The moments at which accuracy is reported against time, in milliseconds.
+    """The moments, in milliseconds, at which the accuracy against time is measured.
 
-    These are the tenths of a window without its end.
+    They divide a window into ten equal parts. The window's end is not among them.
     """
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

@@ -1,8 +1,8 @@
 """Groups of recordings that stay together when some are held out.
 
-The recordings of one person, car or session look alike. The accuracy on held-out recordings says
-how good a model is on new recordings only if the held-out ones differ from the learned ones as much
-as new ones will.
+The recordings of one person, car or session look alike. Later the model will see other persons,
+cars or sessions. So whole groups are held out: then held-out recordings differ from the learned
+ones as much as new recordings will, and the accuracy on them says how good the model will be.
 """
 
 from __future__ import annotations
@@ -17,13 +17,18 @@ from async_tnt.base.checks import ParameterValueError
 from async_tnt.sources.files.labelled_recordings import file_of
 
 MIN_WINDOWS = 10
-"""Fewest windows of a session whose last windows are held out."""
+"""Number of windows that a session must have for its last windows to be held out."""
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
-    """The text that a regular expression finds in each name, `class/file`.
+    """The group of each recording: the text that a regular expression finds in its name.
 
-    If the expression has parentheses, it is the text in them.
+    If the expression has parentheses, the group is the text in them.
+
+    Parameters
+    ----------
+    names : `class/file`, of each recording.
+    pattern : the regular expression.
 
     Raises
     ------
@@ -52,11 +57,13 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
 def hold_out_last(
     names: Sequence[str], labels: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Hold out the last recordings of each class by number; None where recordings are not numbered.
+    """Hold out the recordings of each class that have the highest numbers in their names.
 
-    Recordings are numbered if the names of each class differ in numbers only; several numbers
-    compare from left to right. Parts of sessions are not numbered. The two sides may still resemble
-    each other: the recordings beside the cut of a class do, and people or places may recur.
+    The names of a class must differ in numbers only. Several numbers in a name are compared from
+    left to right. Parts of sessions count as not numbered.
+
+    The two sides may still resemble each other: the last learned recording of a class is followed
+    by the first held-out one, and the same people or places may occur on both sides.
 
     Parameters
     ----------
@@ -66,23 +73,24 @@ def hold_out_last(
 
     Returns
     -------
-    train, held_out : see `hold_out_groups`.
+    train, held_out : see `hold_out_groups`. None instead of both if recordings are not numbered.
     """
     if any(file_of(name) != name for name in names):
         return None
     held_out = np.zeros(len(labels), bool)
     for label in np.unique(labels):
         members = np.flatnonzero(labels == label).tolist()
-        if len(members) == 1:  # is not held out, whatever its name
+        if len(members) == 1:  # the only recording is learned from, whatever its name
             continue
         stems = [PurePosixPath(names[r]).stem for r in members]
+        # the names must be equal but for their numbers, and have some
         without_numbers = {re.sub(r"\d+", "0", stem) for stem in stems}
         if len(without_numbers) != 1 or "0" not in without_numbers.pop():
             return None
         numbers = [[int(digits) for digits in re.findall(r"\d+", stem)] for stem in stems]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
         n_wanted = max(1, round(share * len(ordered))) if share else 0
-        first = max(1, len(ordered) - n_wanted)  # one is learned from, at least
+        first = max(1, len(ordered) - n_wanted)  # at least one recording is learned from
         held_out[ordered[first:]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
@@ -90,13 +98,13 @@ def hold_out_last(
 def hold_out_groups(
     labels: np.ndarray, groups: Sequence[str], share: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Hold out whole groups, drawn at random, until each class has its share.
+    """Hold out whole groups, drawn at random, until the share of each class is held out.
 
     Parameters
     ----------
     labels, groups : label and group of each recording.
-    share : share of each class, rounded to whole recordings but at least one; 0: none. Where groups
-        are large, more are held out.
+    share : share of each class, rounded to whole recordings but at least one; 0: none. More
+        recordings may be held out, as groups are not divided.
     rng : draws the order of the groups.
 
     Returns
@@ -107,28 +115,32 @@ def hold_out_groups(
     group_of = np.unique(np.asarray(groups), return_inverse=True)[1]
     # the place of each recording's group in a random order of the groups
     place = np.argsort(rng.permutation(group_of.max(initial=-1) + 1))[group_of]
+    # members[k]: the recordings of the k-th group in this order
     by_place = np.argsort(place, kind="stable")
     members = np.split(by_place, np.cumsum(np.bincount(place))[:-1])
-    n = np.bincount(labels)
-    wanted = np.zeros(len(n))
+    n_of_class = np.bincount(labels)
+    n_wanted = np.zeros(len(n_of_class))
     if share:
-        wanted = np.where(n > 0, np.maximum(np.round(share * n), 1), 0)
-    n_left = n.copy()
+        n_wanted = np.where(n_of_class > 0, np.maximum(np.round(share * n_of_class), 1), 0)
+    n_left = n_of_class.copy()
     held_out = np.zeros(len(labels), bool)
-    for label in np.flatnonzero(n):
+    for label in np.flatnonzero(n_of_class):
         for group in np.unique(place[labels == label]):
-            if n[label] - n_left[label] >= wanted[label]:
+            n_held_out = n_of_class[label] - n_left[label]
+            if n_held_out >= n_wanted[label]:
                 break
-            counts = np.bincount(labels[members[group]], minlength=len(n))
+            counts = np.bincount(labels[members[group]], minlength=len(n_of_class))
+            # each class that the group has must keep a recording to learn from
             leaves_some = ((n_left > counts) | (counts == 0)).all()
-            if leaves_some and not held_out[members[group][0]]:
+            is_held_out = held_out[members[group][0]]  # with an earlier class
+            if leaves_some and not is_held_out:
                 held_out[members[group]] = True
                 n_left -= counts
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
 def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hold out the last windows of one session, or of several one after the other.
+    """Hold out the last windows of one session, or of several sessions, one after the other.
 
     Parameters
     ----------
@@ -137,8 +149,8 @@ def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    train, held_out : indices of windows. The window between them is in neither, so that the two
-        sides share no moment. With fewer than `MIN_WINDOWS`, nothing is held out.
+    train, held_out : indices of windows. The window between the two sides is in neither of them, so
+        that the sides share no moment. If there are fewer than `MIN_WINDOWS`, nothing is held out.
 
     Examples
     --------

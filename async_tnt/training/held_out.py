@@ -1,6 +1,6 @@
-"""What is held out of a data set: recordings and pictures, or the last windows of a class.
+"""Decide what is held out of a data set: recordings and pictures, or the last windows of a class.
 
-How groups are found and drawn is in `groups`.
+`groups` finds the groups of recordings, and draws among them.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows
 
 BY_NUMBER = "number, the last ones"
+"""The value of `Division.held_out_by` if the highest numbers of each class are held out."""
 
 
 @dataclass(frozen=True)
@@ -31,16 +32,17 @@ class Split:
 
     Parameters
     ----------
-    validation : share of each class's recordings to hold out; at least one, if there are two
-        groups. 0: none.
-    groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each
-        class by number, or some at random.
-    test : also read the recordings of the part `Test`.
-    seed : seed of what is drawn at random, and of the recordings of pictures.
+    validation : share of each class's recordings to hold out. At least one recording is held out of
+        a class with two groups. 0: none.
+    groups : a regular expression that finds a recording's group in its name, see
+        `groups_by_pattern`. None: the recordings of each class with the highest numbers are held
+        out, or recordings drawn at random if they are not numbered.
+    test : whether the recordings of the part `Test` are read, too.
+    seed : seed of the groups that are drawn, and of the simulated recordings of pictures.
 
     Raises
     ------
-    ValueError : a share outside [0, 1), or not a regular expression.
+    ValueError : `validation` is outside [0, 1), or `groups` is not a regular expression.
     """
 
     validation: float = 0.2
@@ -57,13 +59,13 @@ class Split:
 
 @dataclass(frozen=True)
 class Division:
-    """Recordings and pictures on two sides.
+    """Which recordings and pictures are learned from, and which are held out.
 
     Parameters
     ----------
-    learned, held_out : their indices, int64.
-    held_out_by : what decided, for the record.
-    counted : how many are held out of how many.
+    learned, held_out : int64, indices of recordings and pictures.
+    held_out_by : the rule that divided them, as text for the model's record.
+    counted : text that says how many are held out of how many.
     """
 
     learned: np.ndarray
@@ -78,7 +80,8 @@ def divide(names: Sequence[str], labels: np.ndarray, split: Split) -> Division:
     Parameters
     ----------
     names : their names, `class/file`.
-    labels : int64. Of each label, the share is held out.
+    labels : int64, one for each name. The share `split.validation` of each label is held out.
+    split : the share, and how recordings are grouped.
     """
     files = [file_of(name) for name in names]
     if split.groups is not None:
@@ -103,20 +106,22 @@ def hold_out_ends(
 ) -> tuple[Windows, Windows, list[int]]:
     """Hold out the last windows of each class whose recordings are all learned from.
 
-    Such a class has only one recording, or one group of them.
+    Such a class has only one recording, or only one group of recordings.
 
     Parameters
     ----------
+    training, validation : windows of the learned recordings, and of those that are held out.
     share : share of the windows of such a class that is held out; 0: none.
-    n_real : number of recordings of a camera; those after them are of pictures.
+    n_real : number of recordings of a camera. The recordings after them are of pictures.
     window_us : length of a window.
 
     Returns
     -------
-    training, validation, and the labels of these classes.
+    training, validation, and the labels of the classes whose last windows are held out.
     """
     if not share:
         return training, validation, []
+    # where each training window is: its time in its session, and the rank of its file
     times_us = training.start_us + _session_starts_us(training.recordings)[training.recording]
     files = _file_order(training.recordings)[training.recording]
     is_real = training.recording < n_real
@@ -124,21 +129,23 @@ def hold_out_ends(
     labels = []
     ends = []
     for label in np.setdiff1d(training.labels, validation.labels):
-        mine = np.flatnonzero((training.labels == label) & is_real)
-        mine = mine[np.lexsort((times_us[mine], files[mine]))]  # one file after the other
-        learned, held_out = hold_out_end(len(mine), share)
+        of_class = np.flatnonzero((training.labels == label) & is_real)
+        # file after file, and in order of time in each
+        of_class = of_class[np.lexsort((times_us[of_class], files[of_class]))]
+        learned, held_out = hold_out_end(len(of_class), share)
         if not len(held_out):
             continue
-        first = mine[held_out[0]]
-        learned = mine[learned]
-        # parts of a session may overlap: a window that reaches into the first one that is held out
-        # is not learned from
+        learned = of_class[learned]
+        held_out = of_class[held_out]
+        first = held_out[0]
+        # Parts of a session may overlap in time. A window that reaches into the first held-out
+        # window is not learned from.
         is_elsewhere = files[learned] != files[first]
         ends_before = times_us[learned] + window_us <= times_us[first]
-        is_kept[mine] = False
+        is_kept[of_class] = False
         is_kept[learned] = is_elsewhere | ends_before
         labels.append(int(label))
-        ends.append(mine[held_out])
+        ends.append(held_out)
     if not labels:
         return training, validation, labels
     more = training[np.concatenate(ends)]
@@ -151,19 +158,27 @@ def hold_out_ends(
 
 
 def _session_starts_us(recordings: Recordings) -> np.ndarray:
-    """When each recording begins in its session, in microseconds; 0 where it is a file of its own.
+    """The time in its session at which each recording begins, in microseconds.
 
-    The name of a part of a session ends in its times, `session.npz[1000:2000]`.
+    The name of a part of a session ends in its times, `session.npz[1000:2000]`. A recording with a
+    file of its own begins at 0.
     """
     starts = []
     for name in recordings.names:
+        start_us = 0
         is_part = file_of(name) != name
-        starts.append(int(name.rpartition("[")[2].partition(":")[0]) if is_part else 0)
+        if is_part:
+            times = name.rpartition("[")[2]
+            start_us = int(times.partition(":")[0])
+        starts.append(start_us)
     return np.array(starts)
 
 
 def _file_order(recordings: Recordings) -> np.ndarray:
-    """The place of each recording's file in the order of their names, numbers by their value."""
+    """The rank of each recording's file when the files are sorted by name.
+
+    Numbers in names are compared by their value: `a_9` comes before `a_10`.
+    """
     numbered = []
     for name in recordings.names:
         file = file_of(name)

@@ -1,6 +1,7 @@
 """The training loop.
 
-The same settings, data and machine give the same weights, whether it was interrupted or not.
+The same settings, data and machine give the same weights, even if the training was interrupted and
+resumed.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from async_tnt.volume.config import TNTConfig
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The model after the last epoch, and one dict per epoch (loss, accuracies)."""
+    """The model after the last epoch, and the history: a dict of loss and accuracies per epoch."""
 
     model: Model
     history: list[dict[str, float]]
@@ -59,28 +60,31 @@ def train(
 ) -> TrainResult:
     """Train a classifier, or a map model.
 
-    After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from
-    it and ends with the same weights as if it had never stopped: all randomness is drawn from
-    (seed, epoch). The weights of the last epoch are kept, whatever its accuracy.
+    After each epoch a checkpoint is written into the run folder. A run that finds a checkpoint
+    there resumes from it. It ends with the same weights as if it had never stopped, because all
+    randomness is drawn from (seed, epoch). The model has the weights of the last epoch, whatever
+    its accuracy.
 
     Parameters
     ----------
-    data : windows to learn from, and windows whose accuracy each epoch tells. The latter choose
-        nothing but, where `settings.ends_early`, the last epoch.
+    data : windows to learn from, and held-out windows, on which the accuracy is measured after each
+        epoch. With `settings.ends_early` the held-out windows decide the last epoch. They decide
+        nothing else.
     settings : how to train.
-    run_folder : for checkpoint and history; made if missing.
+    run_folder : the folder for checkpoint and history; made if missing.
     start : a model to continue from; None starts with random weights.
-    motions : other motions of the training windows, shown among these.
-    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015,
-        arXiv:1503.02531).
+    motions : the training windows under other motions. Each epoch shows some windows as recorded,
+        and the others under another motion.
+    teachers : models that the trained model imitates. The mean of their probabilities makes up half
+        of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
     progress : makes the progress bar, which counts optimizer steps.
-    report : called with the history's new row after each epoch, when its checkpoint is written.
+    report : called after each epoch, when its checkpoint is written, with the history's new row.
 
     Raises
     ------
     ValueError : there are no training windows, `start` has another configuration or other classes,
         or the run folder holds a run with other settings or data.
-    BlockingIOError : another process is training there.
+    BlockingIOError : another process is training in this run folder.
     """
     _check(data, settings, start, motions, teachers)
     run = _Run(data, settings, run_folder, start, motions, teachers)
@@ -140,16 +144,17 @@ def _check(
 
 
 class _Run:
-    """A training between two epochs: networks, optimizer and history, as its checkpoint has them.
+    """The state of a training between two epochs: networks, optimizer and history.
 
-    The arguments are those of `train`. A checkpoint that is in the run folder is loaded.
+    A checkpoint holds this state. If the run folder has one, it is loaded. The arguments are those
+    of `train`.
 
     Attributes
     ----------
     history : one dict per finished epoch.
-    n_steps : steps of an epoch. The last one may have fewer.
-    n_iterations : steps of all epochs.
-    n_epochs : epochs, unless the training ends early.
+    n_steps : number of steps of an epoch. The last epoch may have fewer.
+    n_iterations : number of steps of all epochs.
+    n_epochs : number of epochs, unless the training ends early.
     """
 
     def __init__(
@@ -177,8 +182,8 @@ class _Run:
 
         self._device = "cuda" if torch.cuda.is_available() else "cpu"
         self._pipeline = self._first_pipeline(start).to(self._device)
-        placed: Any = self._pipeline  # the stubs of `to` know no memory_format
-        placed.to(memory_format=torch.channels_last)  # a third faster
+        placed: Any = self._pipeline  # torch's type stubs of `to` lack `memory_format`
+        placed.to(memory_format=torch.channels_last)  # makes a step a third faster
         average = partial(_average, settings.averaging)
         self._averaged = AveragedModel(self._pipeline, avg_fn=average, use_buffers=True)
         self._optimizer = _optimizer(self._pipeline, settings)
@@ -196,7 +201,7 @@ class _Run:
             self.history = state["history"]
 
     def _first_pipeline(self, start: Model | None) -> Pipeline:
-        """Random weights, or those of a model to continue from."""
+        """The pipeline at the beginning of the training: with random weights, or with `start`'s."""
         data = self._data
         settings = self._settings
         if start is not None:
@@ -213,7 +218,7 @@ class _Run:
 
     @property
     def _final(self) -> Pipeline:
-        """The pipeline whose weights are those of the model."""
+        """The pipeline whose weights the model gets: averaged, or those of the last step."""
         if not self._settings.averaging:
             return self._pipeline
         averaged: Any = self._averaged.module
@@ -223,11 +228,11 @@ class _Run:
     def train_epoch(self, epoch: int, settled: int | None, bar: Bar) -> dict[str, float]:
         """Train one epoch. Returns its row of the history.
 
-        settled : the epoch after which nothing could improve, see `settled_at`; None: none yet.
+        settled : the epoch after which the training settled, see `settled_at`; None: not yet.
         """
         settings = self._settings
         self._pipeline.train()
-        # dropout draws from torch's own generator
+        # dropout draws from torch's global generator
         torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])
         first = epoch * self.n_steps
         n_steps = min(self.n_steps, self.n_iterations - first)
@@ -261,7 +266,7 @@ class _Run:
         }
 
     def _step(self, windows: Windows, draws: Draws | None) -> BatchLoss:
-        """One step of the optimizer."""
+        """Take one step of the optimizer. Returns the loss of the batch."""
         with torch.autocast(self._device, torch.bfloat16, enabled=self._in_16_bits):
             found = self._objective.loss(self._pipeline, windows, draws)
         self._optimizer.zero_grad(set_to_none=True)
@@ -272,7 +277,7 @@ class _Run:
         return found
 
     def _validate_motions(self) -> dict[str, float]:
-        """Accuracy and loss on held-out windows under other motions, if there are enough."""
+        """Accuracy and loss on held-out windows under other motions; empty if they are too few."""
         if self._motions is None or len(self._motions.validation) < MIN_MOVED:
             return {}
         found = self._windowed.of_windows(self._final, self._motions.validation)
@@ -303,7 +308,7 @@ def batches_of(
     epoch: int,
     motions: Motions | None = None,
 ) -> Iterator[tuple[Windows, Draws | None]]:
-    """The batches of one epoch, and how each is augmented."""
+    """Yield the batches of one epoch: windows, and how they are augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
     passes = []
     for _ in range(settings.passes):
@@ -322,14 +327,15 @@ def batches_of(
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A random order of indices in which every class is equally often (within one).
+    """A random order of window indices in which every class is equally frequent (within one).
 
-    There are as many indices as labels.
+    The order has as many indices as there are labels. The windows of a class with fewer windows
+    than its share are repeated, each time in another order. Of a class with more windows, each
+    epoch shows a different part.
 
-    A class with fewer windows than its share is repeated, each time in another order; of a class
-    with more, each epoch shows a different part. We sample rather than weight the loss: a rare
-    class in every batch gives steadier steps than one that is seldom shown with a large weight, and
-    augmentation makes each repetition different.
+    The alternative, to show rare classes seldom but with a large weight in the loss, is worse:
+    steps are steadier if each batch has windows of a rare class. And augmentation makes each
+    repetition different.
 
     Examples
     --------
@@ -339,7 +345,7 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
     shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
-    # Some classes get one more than others; which ones is drawn at random.
+    # Some classes get one index more than others. They are drawn at random.
     rng.shuffle(shares)
     chosen = []
     for places, share in zip(members, shares, strict=True):
@@ -350,12 +356,12 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _is_fast_at_bfloat16(device: str) -> bool:
-    """Whether the hardware multiplies in 16 bits. Of a processor, only Linux tells it."""
+    """Whether the hardware multiplies in 16 bits. For a processor, False on systems but Linux."""
     if device.startswith("cuda"):
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     try:
         words = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
-    except OSError:  # other systems than Linux have no such file
+    except OSError:  # only Linux has this file
         return False
     return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 
@@ -365,15 +371,15 @@ def _average(
 ) -> torch.Tensor:
     """The moving average of a weight after step n + 1.
 
-    The first steps keep less than `share` of the average before. Otherwise the initial weights
-    would count as much as those of hundreds of steps.
+    A step keeps `share` of the average before it, but the first steps keep less. Otherwise the
+    initial weights would count as much as the weights of hundreds of steps.
     """
     kept = min(share, (1 + int(n)) / (10 + int(n)))
     return before * kept + now * (1 - kept)
 
 
 def _optimizer(pipeline: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
-    """AdamW, whose decay does not act on biases."""
+    """The optimizer AdamW. Its weight decay does not act on biases and other vectors."""
     weights = [w for w in pipeline.parameters() if w.ndim > 1]
     biases = [w for w in pipeline.parameters() if w.ndim <= 1]
     groups: list[dict[str, Any]] = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
@@ -389,8 +395,8 @@ def _set_rate(
 ) -> None:
     """Set the learning rate of a step.
 
-    cooling : the first step in which the rate falls, and the step where it is 0, of a training that
-        ends early; None: it does not, so far.
+    cooling : of a training that ends early, the step at which the rate begins to fall, and the step
+        at which it would be 0. None: the training has not settled.
     """
     share = _share_of_rate(settings, step if cooling is None else cooling[0], n_steps)
     if cooling is not None:
@@ -400,7 +406,7 @@ def _set_rate(
 
 
 def _share_of_rate(settings: TrainSettings, step: int, n_steps: int) -> float:
-    """The share of the highest rate, at a step of a training that does not end early."""
+    """The share of the highest learning rate, at a step of a training that does not end early."""
     warm = max(1, int(settings.warm_up * n_steps))
     if step < warm:
         return (step + 1) / warm

@@ -1,16 +1,14 @@
-"""Windows to train on under other motions, as an epoch shows them, and their files.
+"""Training windows under other motions: their files, and how an epoch shows them.
 
-`resynthesis` makes them.
+`training.resynthesis` makes these windows. An .npz file has n consecutive windows:
 
-An .npz file has n consecutive windows:
-
-    moved_0, moved_1, ...   structured (t, x, y, p): the events of all n windows, each under one
-                            random motion. Window i is from i * window_us on
-    refused                 str, (n,): why a window's path cannot be relied on; empty where it can.
+    moved_0, moved_1, ...   structured (t, x, y, p): the events of all n windows. In each of these
+                            arrays every window has another random motion. Window i begins at the
+                            time i * window_us
+    refused                 str, (n,): why a window's path cannot be relied on; empty if it can.
                             A refused window has no events in moved_0, moved_1, ...
-    spans                   int64, (n,): the windows that a window's path spans, see `MotionPath`;
-                            0 where it is refused
-    positions               float64, (n, K, 2): a window's path, see `MotionPath`
+    spans                   int64, (n,): `MotionPath.span` of each window; 0 if it is refused
+    positions               float64, (n, K, 2): `MotionPath.positions` of each window
 """
 
 from __future__ import annotations
@@ -32,7 +30,8 @@ from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE, EventDecoder
 
 MIN_MOVED = 50
-"""Fewest held-out windows under other motions whose accuracy is given. Fewer say nothing."""
+"""Fewest held-out windows under other motions on which accuracy is measured. The accuracy on fewer
+windows would say nothing."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +40,14 @@ class MotionSettings:
 
     Parameters
     ----------
-    variations : number of other motions of each window. Epochs show them by turns.
+    variations : number of other motions of each window. An epoch shows one of them, the next epoch
+        the next one.
     recorded : share of the windows that an epoch shows as they were recorded.
     seed : decides the motions and the simulation.
 
     Raises
     ------
-    ValueError : there is no variation, or the share is outside of [0, 1].
+    ValueError : `variations` is below 1, or `recorded` is outside of [0, 1].
     """
 
     variations: int = 32
@@ -61,27 +61,27 @@ class MotionSettings:
             raise ParameterValueError("recorded", "must be in [0, 1]", self.recorded)
 
     def for_epochs(self, n: int) -> MotionSettings:
-        """The same settings without the variations that `n` epochs do not show."""
+        """The same settings with at most `n` variations, as `n` epochs show no more."""
         return replace(self, variations=min(self.variations, n))
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Windows to train on, and the same under other motions. Made by `resynthesize`.
+    """Windows to train on, as recorded and under other motions. `resynthesize` returns them.
 
     Parameters
     ----------
-    files : the other motions of the windows to train on, one file after the other.
+    files : the files of the training windows under other motions, in the order of the windows.
     training : the windows to train on, as recorded.
-    refused : str, (N,): why a window has no path to rely on, and so no other motions; empty where
-        it has.
-    spans, paths : int64, (N,), and float64, (N, K, 2): how the windows moved, see `MotionPath`; a
-        span of 0 where refused.
+    refused : str, (N,): why a window's path cannot be relied on, so that the window has no other
+        motions; empty if the path can be relied on.
+    spans, paths : int64, (N,), and float64, (N, K, 2): `span` and `positions` of each window's
+        `MotionPath`. The span is 0 if the path is refused.
     validation : the held-out windows whose path was found, each under one other motion.
     config : how events become volumes; only its sensor and the length of its windows are used.
     settings : how the motions were made.
-    record : how many paths were found, what was measured, and how well it matches, for a model's
-        record.
+    record : for a model's record: how many paths were found, how the pixels were simulated, and how
+        well re-synthesized events match the recorded ones.
     """
 
     files: list[Path]
@@ -97,7 +97,8 @@ class Motions:
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
         """The windows `order` as an epoch shows them: under another motion, or as recorded.
 
-        Recorded windows have the events around them, too, as augmentation moves their starts.
+        A recorded window also has the events before and after it, because augmentation may move the
+        window's start.
         """
         is_moved = (self.spans[order] > 0) & (rng.random(len(order)) >= self.settings.recorded)
         window_us = self.config.window_us
@@ -110,6 +111,7 @@ class Motions:
         start_us = np.zeros(len(order), np.int64)
         recording[~is_moved] = recorded.recording
         start_us[~is_moved] = recorded.start_us
+        # after the recorded windows, `Recordings` has all windows of the variation
         recording[is_moved] = len(recorded.recordings) + order[is_moved]
         return Windows(recorded.recordings + moved, recording, start_us)
 
@@ -126,6 +128,7 @@ def write_moved(
     paths : how each window moved.
     window_us : length of a window.
     """
+    # 32 bits are enough for the times of most files
     times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
     arrays = {
@@ -143,34 +146,34 @@ def write_moved(
 
 
 def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
-    """Arrays of a file, by their names.
+    """Read arrays of a file, by their names.
 
     Raises
     ------
-    ValueError : the file is damaged, which the checksums of the archive tell.
+    ValueError : the file is damaged: the checksums of the archive differ.
     """
     try:
         with open_regular(path) as content, np.load(content) as file:
             return [file[name] for name in names]
-    except Exception as error:  # a damaged archive surfaces as any of a dozen types
+    except Exception as error:  # a damaged archive raises one of a dozen types of errors
         raise damaged(path, type(error).__name__) from error
 
 
 def moved_recordings(
     files: Sequence[Path], variation: int, labels: np.ndarray, config: TNTConfig
 ) -> Recordings:
-    """The windows of several files under one of their motions, each as a recording.
+    """Read the windows of several files under one of their motions. Each becomes a recording.
 
     Parameters
     ----------
-    files : in the order of the windows.
-    variation : which of the motions.
+    files : the files, in the order of the windows.
+    variation : number of the motion.
     labels : int64, of each window.
     config : has the sensor and the length of a window.
 
     Raises
     ------
-    ValueError : a damaged file, or not one window for each label.
+    ValueError : a file is damaged, or the files do not have one window for each label.
     """
     decoder = EventDecoder(config.sensor, late="raise")
     parts: dict[str, list[np.ndarray]] = {
@@ -185,6 +188,8 @@ def moved_recordings(
         except (ValueError, TypeError) as error:
             raise damaged(path, error) from None
         t = columns[0][:n]
+        # Divide the events into windows. Then times count from each window's start, in `columns`,
+        # too: `t` is a view.
         ends = np.searchsorted(t, config.window_us * np.arange(1, len(refused) + 1))
         t %= config.window_us
         for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
@@ -199,5 +204,5 @@ def moved_recordings(
 
 
 def damaged(path: Path, what: object) -> ValueError:
-    """The error about a damaged file among these."""
+    """The error to raise for a damaged file of other motions."""
     return ValueError(f"{path}: damaged ({what}). Remove it and give the same command again")

@@ -1,7 +1,7 @@
-"""Networks to train: a few that suit small sensors and small machines, or one's own.
+"""Networks to train: a few that suit small sensors and small machines, or the user's own.
 
-Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes); `map` computes maps of
-logits (N, n_classes + 1, R, C). All layers have a compiled form.
+Each network is a torch module from volumes (N, C, H, W) to logits (N, n_classes). Only the network
+`map` computes maps of logits, (N, n_classes + 1, R, C). All layers have a compiled form.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from async_tnt.networks.torch.operations import HeatmapCentroid
 LARGE = 64
 """The shorter side of a grid, in cells, above which `residual` halves its maps once more."""
 Build = Callable[[int, tuple[int, int], int], nn.Module]
-"""(channels, (width, height), n_classes) -> network."""
+"""A function (channels of a volume, (width, height) of its grid, number of classes) -> network."""
 
 
 def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
     """The thesis' classifier: two convolutions with average pooling, two dense layers.
 
-    The thesis does not name the widths.
+    The thesis does not state the number of channels. The numbers here are our choice.
     """
     width, height = grid
     return nn.Sequential(
@@ -70,10 +70,10 @@ def residual(
 ) -> nn.Module:
     """A 5x5 convolution with stride 2, then two residual blocks between max poolings.
 
-    Larger grids have one pooling more, see `LARGE`.
+    A large grid has one more pooling, see `LARGE`.
 
-    widths : channels after the first convolution, of the two residual blocks, and of the last
-        convolution.
+    widths : number of channels of the first convolution, of the two residual blocks, and of the
+        last convolution.
     """
     first, second, third, last = widths
     pooling = [nn.MaxPool2d(2)] if min(grid) > LARGE else []
@@ -93,7 +93,7 @@ def residual(
 
 
 def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Depthwise-separable convolutions: each channel by itself, then 1x1. Few multiplications."""
+    """Convolutions of each channel by itself, then 1x1 convolutions: few multiplications."""
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),
@@ -107,10 +107,10 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A map of logits: a channel for each class and a last one for nothing.
+    """A network that computes a map of logits: a channel for each class and a last one for nothing.
 
-    Each 4x4 cells of the grid have a place, which sees about 40x40 cells. The network is wide in
-    its first layers, where a change reaches few places.
+    The map has a place for every 4x4 cells of the grid. A place sees about 40x40 cells. The first
+    layers have the most channels, because there an event changes few places.
     """
     return nn.Sequential(
         *_conv(channels, 32, 5, stride=2),
@@ -131,11 +131,11 @@ NETWORKS: dict[str, tuple[Build, int]] = {
     "separable": (separable, 8),
     "map": (object_map, 8),
 }
-"""Name -> network, and the least side of a grid for it."""
+"""Name -> the function that builds the network, and the least side of a grid for it, in cells."""
 
 
 class Residual(nn.Module):
-    """relu(x + bn(conv(relu(bn(conv(x))))))"""
+    """A residual block: relu(x + bn(conv(relu(bn(conv(x)))))), with bn for a batch norm."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -164,14 +164,15 @@ def _separable(channels: int, n_filters: int) -> list[nn.Module]:
 
 
 def _head(channels: int, n_classes: int, *between: nn.Module) -> list[nn.Module]:
-    """The mean over all places, and a dense layer."""
+    """The last layers of a network: the mean over all places, `between`, and a dense layer."""
     return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), *between, nn.Linear(channels, n_classes)]
 
 
 def landmark_network(channels: int) -> nn.Module:
     """The thesis' landmark regressor: raw volumes (N, C, H, W) to landmarks (N, 2) in grid pixels.
 
-    The 1x1 convolution starts at zero: the first landmark is the image centre, whatever the events.
+    The weights of the 1x1 convolution start at zero. So before training the landmark is the image
+    centre, whatever the events.
     """
     network: Any = nn.Sequential(
         OrderedDict(
@@ -191,11 +192,11 @@ def landmark_network(channels: int) -> nn.Module:
 
 
 def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network by its name, or one's own, see `find_network`.
+    """Build one of `NETWORKS` by its name, or the user's own, see `find_network`.
 
     Raises
     ------
-    ValueError : as `find_network`; the grid is too small; or one's own function fails, or returns
+    ValueError : as `find_network`; the grid is too small; the user's own function fails or returns
         no module.
     """
     build, smallest = find_network(name)
@@ -213,7 +214,7 @@ def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: in
 
 
 def find_network(name: str) -> tuple[Build, int]:
-    """The function that builds a network, and the least side of a grid for it.
+    """Find the function that builds a network, and the least side of a grid for it, in cells.
 
     Parameters
     ----------
@@ -238,7 +239,7 @@ def find_network(name: str) -> tuple[Build, int]:
     if spec is None or spec.loader is None:
         raise ValueError(f"{name}: {path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look for their types
+    sys.modules[spec.name] = module  # dataclasses in the file look for their types there
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # anything that the user's own code raises

@@ -31,12 +31,13 @@ from async_tnt.volume.config import TNTConfig
 
 @dataclass(frozen=True)
 class BatchLoss:
-    """What a batch gives.
+    """The loss of a batch, and how much of the batch is classified right.
 
     Parameters
     ----------
-    loss : to minimize.
-    n_right, n : how many windows, or places with an object, were right, and of how many.
+    loss : the loss, to minimize.
+    n_right, n : `n_right` of `n` windows are classified right; of a map model, `n_right` of the `n`
+        places that have an object.
     """
 
     loss: torch.Tensor
@@ -45,7 +46,7 @@ class BatchLoss:
 
 
 class ClassOfWindows:
-    """Cross-entropy of each window's class.
+    """The objective of a classifier: the cross-entropy of each window's class.
 
     Parameters
     ----------
@@ -53,8 +54,8 @@ class ClassOfWindows:
     validation : windows that are held out; may be empty.
     settings : how the model is trained.
     n_classes : number of classes.
-    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015,
-        arXiv:1503.02531).
+    teachers : models that the trained model imitates. The mean of their probabilities makes up half
+        of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
     """
 
     def __init__(
@@ -85,8 +86,8 @@ class ClassOfWindows:
 
         The class of a window has probability 1. A window that shows nothing has the same
         probability for all classes (Hendrycks, Mazeika, Dietterich 2019, arXiv:1812.04606), so that
-        no class is decided with confidence. With teachers, the target of a window that shows
-        something is the mean of this and of the probabilities that they give the same window.
+        no class is decided with confidence. With teachers, a window that shows a class has another
+        target: the mean of the probabilities above and of the teachers' for the same window.
         """
         targets = np.eye(self._n_classes, dtype=np.float32)[windows.labels]
         nothing = np.zeros(len(windows), bool)
@@ -105,11 +106,11 @@ class ClassOfWindows:
         return torch.where(torch.from_numpy(nothing)[:, None], target, (target + told) / 2)
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
-        """The entries of an epoch in the history; none where nothing is held out."""
+        """Accuracy and loss on the held-out windows, for the history; empty if there are none."""
         return self.of_windows(pipeline, self._validation)
 
     def of_windows(self, pipeline: Pipeline, windows: Windows) -> dict[str, float]:
-        """Accuracy and loss at the windows' ends.
+        """Accuracy and loss at the ends of windows, for the history; empty without windows.
 
         With `TrainSettings.balance`, the loss is the mean of the classes' losses.
         """
@@ -129,21 +130,21 @@ class ClassOfWindows:
 
 
 REACH = 0.15
-"""Largest distance between an object and an answer of its class that finds it, as a share of a
-recording's shorter side."""
+"""Largest distance at which an answer of the right class counts as having found an object, as a
+share of a recording's shorter side."""
 N_SCENES = 400
-"""About how many scenes a map model is scored in."""
+"""Number of scenes in which a map model is scored, about."""
 SHARES = (0.3, 0.5)
 """Shares of a window after which scenes are scored, besides at its end."""
 
 
 class SceneScores:
-    """How well a map model finds objects in scenes, which are the same at each call.
+    """Scores how well a map model finds objects in scenes. The scenes are the same at each call.
 
     Parameters
     ----------
     crops : how the recordings' events become volumes.
-    model : a map model for scenes of these; its weights do not matter.
+    model : a map model for scenes of these recordings. Its weights are not used.
     windows : the objects of the scenes. At most as many are used as `N_SCENES` scenes hold.
     """
 
@@ -158,7 +159,7 @@ class SceneScores:
         self._within_px = REACH * min(crops.sensor)
 
     def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
-        """The scores after this share of each window."""
+        """The scores of a map model when this share of each window has passed."""
         rng = np.random.default_rng(1)
         was_training = pipeline.training
         pipeline.eval()
@@ -173,7 +174,7 @@ class SceneScores:
                 maps = pipeline.classify(torch.from_numpy(scenes.volumes)).cpu().numpy()
             for k, logits in enumerate(maps):
                 n = self._reader.read(logits, self._tracks, 0, False)
-                objects = self._reader.found[: max(0, n)]  # none where a logit is not finite
+                objects = self._reader.found[: max(0, n)]  # n < 0: a logit is not finite
                 inside = scenes.scene == k
                 scores += score_objects(
                     objects,
@@ -186,7 +187,7 @@ class SceneScores:
         return scores
 
     def to_dict(self, pipeline: Pipeline) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """The scores at the windows' ends and before, as plain values for JSON."""
         whole = self.after(pipeline, 1.0)
         window_ms = self._maker.config.window_us / 1e3
         early = {}
@@ -196,26 +197,29 @@ class SceneScores:
 
 
 LEFT_OUT = 0.2
-"""Distance to an object, as a share of a recording's shorter side, within which a place of the map
-says neither nothing nor a class. Places within `REACH` of the object, and its nearest place, are to
-name its class; places between the two distances have no target; all others are to say nothing."""
+"""Largest distance to an object at which a place of the map may be left out of the loss, as a share
+of a recording's shorter side.
+
+The target of a place depends on its distance to the nearest object. Up to `REACH`, the target is
+the object's class, and so it is at the place that is nearest to the object. Between `REACH` and
+`LEFT_OUT` the place has no target and weight 0. Beyond `LEFT_OUT` the target is nothing."""
 WEIGHT = 4.0
-"""Weight of a place that is to name a class; a place that is to say nothing has weight 1."""
+"""Weight in the loss of a place whose target is a class. If the target is nothing, it is 1."""
 
 
 class ObjectsInScenes:
-    """Cross-entropy at each place of the map of scenes.
+    """The objective of a map model: the cross-entropy at each place of the maps of scenes.
 
     Parameters
     ----------
     config : how the recordings' events become volumes.
-    validation : windows that are held out, for scenes to measure F1 on; may be empty.
+    validation : windows that are held out, for scenes on which F1 is measured; may be empty.
     settings : how the model is trained.
     classes : names, one for each label from 0 on.
 
     Raises
     ------
-    ValueError : see `SceneMaker`; or the network of `settings` computes no map.
+    ValueError : as `SceneMaker`; the network of `settings` computes no map.
     """
 
     def __init__(
@@ -242,7 +246,8 @@ class ObjectsInScenes:
         self._scores = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
-        """The loss of scenes of a batch of windows, augmented by `draws`."""
+        """The loss of scenes that are made of a batch of windows, augmented by `draws`."""
+        # the same windows and draws give the same scenes
         if draws is None:
             rng = np.random.default_rng(windows.recording.tolist())
             draws = unchanged(len(windows), self._maker.crops)
@@ -254,7 +259,8 @@ class ObjectsInScenes:
         target = torch.from_numpy(targets)
         weight = torch.from_numpy(weights).to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
-        is_object = target < self._map[0] - 1
+        nothing = self._map[0] - 1
+        is_object = target < nothing
         is_right = logits.detach().argmax(1).cpu() == target
         return BatchLoss(
             (losses * weight).sum() / weight.sum(),
@@ -263,19 +269,25 @@ class ObjectsInScenes:
         )
 
     def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
-        """Class and weight of each place, int64 and float32, (M, R, C)."""
+        """Target and weight of each place of M maps, int64 and float32, (M, R, C).
+
+        See `LEFT_OUT` and `WEIGHT`.
+        """
         n_channels, rows, columns = self._map
         nothing = n_channels - 1
         shape = len(scenes.volumes), rows, columns
         target = np.full(shape, nothing, np.int64)
         weight = np.ones(shape, np.float32)
         nearest = np.full(shape, np.inf)
+        # place (row, column) of a map is at (x0 + dx column, y0 + dy row), in sensor pixels
         x0, dx, y0, dy = self._places
         for scene, label, (x, y) in zip(scenes.scene, scenes.label, scenes.position, strict=True):
             across = np.abs(x0 + dx * np.arange(columns) - x)
             down = np.abs(y0 + dy * np.arange(rows) - y)
-            away = np.maximum(down[:, None], across)
-            away[away.argmin() // columns, away.argmin() % columns] = 0.0
+            away = np.maximum(down[:, None], across)  # (R, C)
+            # the nearest place gets the object's class at any distance
+            row, column = divmod(int(away.argmin()), columns)
+            away[row, column] = 0.0
             is_nearest = away < nearest[scene]
             nearest[scene][is_nearest] = away[is_nearest]
             target[scene][is_nearest & (away <= REACH * self._shorter)] = label
@@ -284,5 +296,5 @@ class ObjectsInScenes:
         return target, weight
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
-        """The entries of an epoch in the history; none where nothing is held out."""
+        """F1 in held-out scenes, for the history; empty if nothing is held out."""
         return {} if self._scores is None else {"f1": self._scores.after(pipeline, 1.0).f1}

@@ -1,15 +1,14 @@
 """The pipeline from windows to logits, which is trainable from end to end.
 
-It is written to a model file, and read from one.
-
-Volumes come from the kernels, networks are torch modules.
+Its volumes are computed by the kernels, and its networks are torch modules. `export` turns a
+pipeline into a model, and `pipeline_of` turns a model into a pipeline.
 
     landmark `regressor`    events -> raw volume -> regressor -> landmark -> volume -> classifier
     every other landmark    events -> volume -> classifier
 
-With landmark `regressor`, the loss reaches the regressor through the volume
-(`BatchVolumes.landmark_gradient`). Only the landmark's two numbers are learned there, so the
-backward pass costs about as much as the splat.
+With landmark `regressor`, the gradient of the loss reaches the regressor through the volume
+(`BatchVolumes.landmark_gradient`). Of each window it passes through two numbers only, the x and the
+y of the landmark. So the backward pass costs about as much as the computation of the volume.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
 N_MEASURED = 512
-"""Most windows that an input scale is measured on. They are spread evenly."""
+"""Most windows on which an input scale is measured. They are spread evenly over all windows."""
 
 
 class Pipeline(nn.Module):
@@ -48,7 +47,8 @@ class Pipeline(nn.Module):
     classifier : module from volumes (N, C, H, W) to logits (N, n_classes).
     regressor : module from raw volumes (N, C, H, W) to landmarks (N, 2) in grid pixels; only with
         landmark `regressor`.
-    scale, raw_scale : factors of the classifier's and of the regressor's input.
+    scale, raw_scale : the factors by which the inputs of the classifier and of the regressor are
+        multiplied.
     """
 
     scale: torch.Tensor
@@ -79,9 +79,11 @@ class Pipeline(nn.Module):
         return self.classify(self.volumes(windows, draws))
 
     def classify(self, volumes: torch.Tensor) -> torch.Tensor:
-        """Logits of volumes (N, C, H, W)."""
-        logits: torch.Tensor = self.classifier(self._on_device(volumes, self.scale))
-        return logits.float().flatten(1) if logits.shape[2:] == (1, 1) else logits.float()
+        """Logits of volumes (N, C, H, W): (N, n_classes), or maps (N, n_classes + 1, R, C)."""
+        logits: torch.Tensor = self.classifier(self._on_device(volumes, self.scale)).float()
+        if logits.shape[2:] == (1, 1):
+            logits = logits.flatten(1)
+        return logits
 
     def volumes(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
         """The classifier's input before it is scaled, (N, C, H, W)."""
@@ -101,14 +103,14 @@ class Pipeline(nn.Module):
         return landmarks.double()
 
     def _on_device(self, volumes: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        """Volumes times `scale`, on its device."""
-        # A new array: the kernels write the next batch into the old one. With channels last, the
-        # networks are a third faster.
+        """Volumes times `scale`, on the device of `scale`."""
+        # The product is a new array, which the networks may keep: the kernels write the next batch
+        # into `volumes`. With channels last, the networks are a third faster.
         return (volumes.to(scale.device) * scale).contiguous(memory_format=torch.channels_last)
 
 
 class _SplatAbout(torch.autograd.Function):
-    """Landmarks (N, 2) to volumes (N, C, H, W), differentiable with respect to the landmarks."""
+    """The step from landmarks (N, 2) to volumes (N, C, H, W), with its gradient."""
 
     @staticmethod
     def forward(
@@ -134,7 +136,7 @@ class _SplatAbout(torch.autograd.Function):
 
 
 class Logarithm(nn.Module):
-    """log(1 + x)"""
+    """The layer log(1 + x)."""
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return torch.log1p(x)
@@ -152,18 +154,16 @@ def new_pipeline(
 ) -> Pipeline:
     """A pipeline with PyTorch's initial weights, and with input scales measured on `windows`.
 
-    The weights depend on the seed alone.
-
-    Torch's global generator is left as it was.
+    The weights depend on the seed alone. Torch's global generator is left as it was.
 
     Parameters
     ----------
     config : how events become volumes.
     n_classes : number of classes.
     seed : decides the weights.
-    windows : those that input scales are measured on.
+    windows : the windows that input scales are measured on.
     network : the classifier, see `build_network`.
-    logarithm : the classifier takes the logarithm of 1 + the volume, which is then not scaled.
+    logarithm : whether the classifier takes log(1 + volume). Then the volume is not scaled.
     grid : the grid of the classifier's input; by default that of `config`.
     """
     with torch.random.fork_rng(devices=[]):
@@ -180,14 +180,14 @@ def new_pipeline(
 def check_network(
     name: str, config: TNTConfig, n_classes: int = 2, *, everywhere: bool = False
 ) -> None:
-    """Refuse a network that cannot be trained, before it is.
+    """Refuse a network that cannot be trained, before the training begins.
 
     Parameters
     ----------
     name : see `build_network`.
     config : configuration of the volumes that the network takes.
     n_classes : number of classes.
-    everywhere : whether it is to compute a map.
+    everywhere : whether the network is to compute a map.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
     """The arguments `scale` and `raw_scale` of `Pipeline`, measured on `windows`."""
     if not config.needs_regressor:
         return {"scale": input_scale(config, windows)}
-    # The landmarks start at the centre, so that is where the classifier's input is measured.
+    # A new regressor puts every landmark at the centre. So both inputs are measured with it there.
     return {
         "scale": input_scale(config.replace(landmark="center"), windows),
         "raw_scale": input_scale(config.replace(landmark="center", transform="none"), windows),
@@ -228,10 +228,10 @@ def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
 def input_scale(config: TNTConfig, windows: Windows) -> float:
     """1 / root mean square of all cells, over at most `N_MEASURED` windows.
 
-    `export` folds it into the weights. It is one number for all bins. A scale for each bin would
-    fit the training motion's event rate over time, amplify the bins with few events (31 times in
-    N-MNIST's first bin, after TNT), and be wrong for every other motion. TNT does worse with it
-    even on held-out digits of the training motions.
+    The scale is one number for all bins. A scale for each bin would fit the event rate of the
+    training motions over time. It would amplify bins with few events (31 times in N-MNIST's first
+    bin, after TNT), and be wrong for every other motion. With it, TNT does worse even on held-out
+    digits in the training motions.
     """
     n = min(N_MEASURED, len(windows))
     spread = np.linspace(0, len(windows) - 1, n).astype(np.int64)
@@ -245,7 +245,9 @@ def input_scale(config: TNTConfig, windows: Windows) -> float:
 
 
 def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | None = None) -> Model:
-    """The finished model. Its first layers absorb the scales, so that it takes raw volumes.
+    """Turn a pipeline into the finished model, which takes volumes that are not scaled.
+
+    The scales become part of the weights of the first layers:
 
         conv1(scale V) = w * (scale V) = (scale w) * V
 
@@ -257,7 +259,8 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
 
     Raises
     ------
-    NotImplementedError : names the first operation of a network that has no compiled form.
+    NotImplementedError : a network has operations without a compiled form. The message names the
+        first of them.
     ValueError : the classifier does not compute one logit for each class, or a layer does not fit.
     """
     config = config or pipeline.config
@@ -270,7 +273,7 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
         first = first_weights(network[name])
         for tensor in first:
             weights[tensor] = weights[tensor] * scale.cpu().numpy()
-        if not first:  # a layer of its own, before the others
+        if not first:  # the scale becomes a layer of its own, before the others
             network[name], tensors = _scaled(
                 name, network[name], pipeline.config.channels, float(scale)
             )
@@ -279,24 +282,29 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
 
 
 def first_weights(layers: Sequence[Layer]) -> list[str]:
-    """The names of the weights that multiply the volume.
+    """The names of the convolution weights that multiply the volume, and can include its scale.
 
-    There are none where a layer other than a convolution reads the volume, too, or where another
-    layer has the same weights.
+    The list is empty if a layer other than a convolution reads the volume, too, or if another layer
+    uses the same weights.
     """
     readers = [layer for layer in layers if VOLUME in layer["inputs"]]
     tensors = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
     used = [name for layer in layers for name in layer.get("weights", {}).values()]
-    alone = all(used.count(name) == 1 for name in tensors)
-    return tensors if alone and len(tensors) == len(readers) else []
+    are_all_convolutions = len(tensors) == len(readers)
+    are_used_once = all(used.count(name) == 1 for name in tensors)
+    return tensors if are_all_convolutions and are_used_once else []
 
 
 def _scaled(
     name: str, layers: Sequence[Layer], channels: int, scale: float
 ) -> tuple[list[Layer], dict[str, Any]]:
-    """Layers that read the volume times a number, and the tensors that this takes.
+    """Put a new layer, which multiplies the volume by `scale`, before the layers.
 
-    The product is computed as a batch norm.
+    The new layer is a batch norm.
+
+    Returns
+    -------
+    All layers, the new layer first, and the tensors of the new layer.
     """
     values = {"mean": 0.0, "variance": 1.0, "weight": scale}
     roles = {role: f"{name}.scale.{role}" for role in values}
@@ -309,21 +317,22 @@ def _scaled(
     }
     others = []
     for layer in layers:
-        inputs = ["scaled volume" if name == VOLUME else name for name in layer["inputs"]]
+        # a layer that read the volume now reads the new layer's output
+        inputs = ["scaled volume" if value == VOLUME else value for value in layer["inputs"]]
         others.append({**layer, "inputs": inputs})
     tensors = {roles[role]: np.full(channels, value, np.float32) for role, value in values.items()}
     return [first, *others], tensors
 
 
 def pipeline_of(model: Model) -> Pipeline:
-    """A torch module of a model, from windows to logits, ready to classify."""
+    """The pipeline of a model, from windows to logits, in evaluation mode."""
     return Pipeline(model.config, torch_classifier(model), torch_regressor(model)).eval()
 
 
 def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
-    """The pipeline of a model that is trained further: the inverse of `export`.
+    """The pipeline with which a model is trained further: the inverse of `export`.
 
-    Input scales are measured on `windows`. Batch norms keep their statistics.
+    Input scales are measured on `windows`. Batch norms keep the model's statistics.
     """
     scales = input_scales(model.config, windows)
     pipeline = Pipeline(model.config, torch_classifier(model), torch_regressor(model), **scales)

@@ -1,4 +1,4 @@
-"""A training as it is asked for: what is known of it before its data set is read."""
+"""What a user asks of a training, and what is known of it before the data set is read."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from async_tnt.volume.sensor import Sensor
 
 @dataclass(frozen=True)
 class Plan:
-    """A training as it is asked for. Where a field is None, the data set decides.
+    """What a user asks of a training. The data set decides the fields that are None.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class Plan:
     network : the classifier, see `training.networks.build_network`.
     epochs : number of epochs.
     seed : seed of the weights, the order of windows and the augmentation.
-    everywhere : train a map model, on scenes.
-    mirror : mirror half of the windows from left to right.
+    everywhere : whether a map model is trained, on scenes.
+    mirror : whether half of the windows are mirrored from left to right.
     has_pictures : whether the data set holds pictures.
     """
 
@@ -44,7 +44,8 @@ class Plan:
     def check(self) -> None:
         """Refuse a network that does not fit the volume.
 
-        A network of one's own may suit the data set's volume alone: it is only looked for.
+        A user's own network may fit no volume but the data set's, which is not known yet. So only
+        its file and its function are looked for.
 
         Raises
         ------
@@ -59,7 +60,7 @@ class Plan:
     def check_run(self, run_folder: Path, sensor: Sensor | None) -> None:
         """Refuse a run folder whose run has another volume, network or seed.
 
-        sensor : (width, height) of the events, if that is known.
+        sensor : (width, height) of the events; None: it is not known yet.
 
         Raises
         ------
@@ -70,11 +71,11 @@ class Plan:
         load_checkpoint(run_folder, {**self.volume.known(sensor), **known})
 
     def settings_for(self, data: TrainingData) -> TrainSettings:
-        """How to train on a data set.
+        """The settings with which to train on a data set.
 
         Raises
         ------
-        ValueError : the network does not fit its volumes, see `check_network`.
+        ValueError : the network does not fit the data set's volumes, see `check_network`.
         """
         settings = self._settings(data.config, len(data.training))
         check_network(
@@ -86,7 +87,7 @@ class Plan:
         return settings
 
     def _settings(self, config: TNTConfig, n_windows: int) -> TrainSettings:
-        """The settings for so many windows to train on."""
+        """The settings for `n_windows` windows to train on."""
         augmentation: dict[str, Any] = {"mirror": self.mirror}
         if self.has_pictures:
             augmentation |= OF_PICTURES
@@ -102,5 +103,5 @@ class Plan:
         )
 
     def _seen(self, config: TNTConfig) -> TNTConfig:
-        """The volume that the network takes: that of a recording, or of a scene of several."""
+        """The volume that the network takes: a recording's, or that of a scene of recordings."""
         return SceneMaker(config).config if self.everywhere else config

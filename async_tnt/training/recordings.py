@@ -1,7 +1,7 @@
 """Labelled recordings as four long columns with offsets, in memory or mapped from files.
 
-Mapped columns are read page by page, when a window needs them: the operating system keeps what
-fits, so that a data set may be larger than the memory.
+The operating system reads mapped columns page by page, when a window needs them, and keeps as many
+pages as fit. So a data set may be larger than the memory.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 """Name of a column -> its type."""
 
 BLOCK = 1 << 22
-"""Events that are copied at a time."""
+"""Number of events that are copied at a time."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class Recordings:
 
     @cached_property
     def middles(self) -> np.ndarray:
-        """float64, shape (R, 2): (x, y) half way between the outermost events of each recording."""
+        """The point (x, y) half way between each recording's outermost events: float64, (R, 2)."""
         middles = np.zeros((len(self), 2))
-        with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` knows no empty slices
+        with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` takes no empty slice
         if not len(with_events):
             return middles
         firsts = self.offsets[with_events]
@@ -82,18 +82,18 @@ class Recordings:
         labels: Sequence[int] | np.ndarray,
         names: Sequence[str] | None = None,
     ) -> Recordings:
-        """Recordings in memory.
+        """Make recordings of events in memory.
 
         Parameters
         ----------
         events : the events of each recording, in any accepted form, see `event_forms`.
-        labels : one for each recording.
-        names : one for each recording; by default numbers.
+        labels : a label for each recording.
+        names : a name for each recording; by default its number.
 
         Raises
         ------
-        TypeError, ValueError : the events have another form, see `RecordingsWriter.add`, or the
-            lengths differ.
+        TypeError, ValueError : the events have no accepted form; the lengths of the arguments
+            differ; or as `RecordingsWriter.add`.
         """
         if names is None:
             names = [str(i) for i in range(len(labels))]
@@ -108,13 +108,13 @@ class Recordings:
 
 
 class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
-    """Appends recordings, one at a time, to the columns of `Recordings`. A context manager.
+    """A context manager that appends recordings, one at a time, to the columns of `Recordings`.
 
     Parameters
     ----------
     folder : the folder where the columns are written to files, 9 bytes an event. The files are
-        mapped into memory. They have no names, so they are gone with the program, however it ends.
-        None: the columns are in memory.
+        mapped into memory. They have no names, so they vanish when the program ends, however it
+        ends. None: the columns are in memory.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -131,7 +131,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():
-            # its memory is a column of recordings; or its disk is full, as `add` told
+            # BufferError: a column of the recordings still uses the memory. OSError: the disk is
+            # full, which `add` has already reported.
             with contextlib.suppress(BufferError, OSError):
                 file.close()
 
@@ -178,9 +179,9 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._names += recordings.names
 
     def finish(self) -> Recordings:
-        """All recordings that were added; ends the writer.
+        """All recordings that were added. This is called once, after the last of them.
 
-        Mapped columns stay when the files are closed.
+        Mapped columns remain usable after the files are closed.
         """
         columns = {name: self._column(file, COLUMNS[name]) for name, file in self._files.items()}
         offsets = np.array(self._offsets, np.int64)
@@ -200,5 +201,5 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
             file.flush()
         if not n:  # an empty file cannot be mapped
             return np.empty(0, dtype)
-        # writable, and a plain array: the kernels are compiled for these
+        # the kernels are compiled for writable, plain arrays
         return np.asarray(np.memmap(file, dtype, "r+", shape=n))

@@ -1,6 +1,6 @@
-"""Other motions of the windows to train on.
+"""Make other motions of the windows to train on.
 
-Several processes make them once, and they are kept in files beside the run.
+Several processes make the motions once. They are kept in files beside the run.
 
     <folder>/motions.json          how they were made, and how well they match the recordings
     <folder>/training_000000.npz   windows from number 0 on under other motions, see `moved_windows`
@@ -56,20 +56,20 @@ from async_tnt.volume.events import EVENT_DTYPE, structured
 MANIFEST = "motions.json"
 """The file that says how motions were made."""
 N_CALIBRATION = 128
-"""Windows that pixels are calibrated on."""
+"""Number of windows on which pixels are calibrated."""
 MOST_WINDOWS = 500
-"""Windows of a file, at most. All their variations are in memory together."""
+"""Most windows of a file. All variations of these windows are in memory together."""
 MOST_EVENTS = 300_000
-"""Events of a file's windows as recorded, about and at most, for the same reason."""
+"""Most recorded events of a file's windows, about. It limits the memory, too."""
 PARTS = ("training", "held-out")
-"""The windows to train on, and those to validate on."""
+"""Names of the windows to train on, and of the windows to validate on."""
 
 N_EXAMPLES = 5
-"""Windows of a figure."""
+"""Number of windows that a figure shows."""
 N_OTHERS = 4
 """Number of other motions that a figure shows of each window."""
 N_REFUSED = 2
-"""Windows of a figure whose path was not found."""
+"""Number of windows without a path that a figure shows."""
 
 
 def resynthesize(
@@ -83,25 +83,25 @@ def resynthesize(
     workers: int = 1,
     progress: Callable[..., Bar] = Bar,
 ) -> Motions:
-    """Make other motions of all windows, or what is missing of them in the folder.
+    """Make other motions of all windows. Files that are already in the folder are not made again.
 
     The same windows and settings give the same files, for any number of workers.
 
     Parameters
     ----------
-    training, held_out : windows as recorded; the latter may be empty.
+    training, held_out : windows as recorded; `held_out` may be empty.
     config : how events become volumes; only its sensor and the window's length are used.
     settings : how many motions are made.
     folder : the folder of the files; made if missing.
-    masked : bool, (H, W): pixels whose events are left out, as they are of the recordings; None: no
-        pixel.
+    masked : bool, (H, W): pixels whose events are left out, as they were left out of the
+        recordings; None: no pixel.
     workers : number of processes.
     progress : makes the progress bar, which counts windows.
 
     Raises
     ------
-    ValueError : windows shorter than 104 us; the folder holds other motions, or a damaged file; no
-        window's motion was found.
+    ValueError : windows are shorter than 104 us; the folder holds other motions, or a damaged file;
+        no window's motion was found.
     """
     if config.window_us < 2 * N_PICTURES:
         raise ParameterValueError(
@@ -150,7 +150,7 @@ def resynthesize(
 
 
 def _calibrated(training: Windows, config: TNTConfig, seed: int) -> tuple[int, Calibration]:
-    """The side of an image's cells, in pixels, and the simulated pixels, from some windows."""
+    """Choose the side of a cell, in pixels, and calibrate re-synthesis, on some windows."""
     order = np.random.default_rng(seed).permutation(len(training))
     chosen = np.sort(order[:N_CALIBRATION])
     around_us = config.window_us * training.neighbours(config.window_us)
@@ -162,15 +162,15 @@ def _calibrated(training: Windows, config: TNTConfig, seed: int) -> tuple[int, C
 
 @dataclass(frozen=True)
 class _Chunk:
-    """Windows that one task moves.
+    """The windows that one task re-synthesizes under other motions.
 
     Parameters
     ----------
     part : one of `PARTS`.
     first : number of the first window in its part.
     windows : the windows, as recorded.
-    around_us : int64, (N, 2): the time before and after each window that may be seen, in
-        microseconds.
+    around_us : int64, (N, 2): the times before and after each window, in microseconds, from which
+        events may be used, too.
     window_us : length of a window.
     variations : number of other motions of each window.
     file : the file that the moved windows are written to.
@@ -185,9 +185,9 @@ class _Chunk:
     file: Path
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state for another process.
+        """The state that is sent to another process.
 
-        It holds the events of these windows and their neighbours instead of all events.
+        It holds the events of these windows and their neighbours, not the events of all recordings.
         """
         margin_us = int(self.around_us.max(initial=0))
         return {**self.__dict__, "windows": self.windows.cut(self.window_us, margin_us)}
@@ -196,13 +196,14 @@ class _Chunk:
 def _chunks(
     part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int
 ) -> list[_Chunk]:
-    """All windows of a part, in chunks of a file each."""
+    """Divide the windows of a part into chunks, one for each file."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
-    step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
+    # so many windows have about `MOST_EVENTS` events
+    size = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
     around_us = config.window_us * windows.neighbours(config.window_us)
     chunks = []
-    for first in range(0, len(windows), step):
-        part_of_windows = slice(first, first + step)
+    for first in range(0, len(windows), size):
+        part_of_windows = slice(first, first + size)
         chunk = _Chunk(
             part=part,
             first=first,
@@ -225,7 +226,7 @@ def _move(
     masked: np.ndarray | None,
     seed: int,
 ) -> int:
-    """Find the paths and images of a chunk's windows, move them, and write the chunk's file.
+    """Find the paths and images of a chunk's windows, move the images, and write the chunk's file.
 
     Returns how many windows the chunk has.
     """
@@ -245,14 +246,16 @@ def _move(
             continue
         for v in range(chunk.variations):
             rng = _generator(seed, chunk.part, chunk.first + i, v)
-            one, _ = image.moved(calibration.length, calibration.pixels, rng)
-            moved[v][i] = one if masked is None else one[~masked[one["y"], one["x"]]]
+            events, _ = image.moved(calibration.length, calibration.pixels, rng)
+            if masked is not None:
+                events = events[~masked[events["y"], events["x"]]]
+            moved[v][i] = events
     write_moved(chunk.file, moved, paths, config.window_us)
     return len(windows)
 
 
 def _generator(seed: int, part: str, window: int, variation: int) -> np.random.Generator:
-    """The source of all randomness of one window's variation."""
+    """The random generator for one variation of one window."""
     return np.random.default_rng((seed, PARTS.index(part), variation, window))
 
 
@@ -264,11 +267,12 @@ def _open(
     chunks: list[_Chunk],
     settings: MotionSettings,
 ) -> Motions:
-    """The motions that a folder holds."""
+    """Read the motions that a folder holds."""
     content = _read_manifest(folder / MANIFEST)
     files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
     refused, spans, paths = _paths(files["training"])
-    moving = np.flatnonzero(_paths(files["held-out"])[1])
+    _, held_out_spans, _ = _paths(files["held-out"])
+    moving = np.flatnonzero(held_out_spans)
     moved = moved_recordings(files["held-out"], 0, held_out.labels, config)
     record = {
         **asdict(settings),
@@ -287,7 +291,7 @@ def _open(
 
 
 def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
-    """`refused`, `spans` and `positions` of all files."""
+    """Read `refused`, `spans` and `positions` of all windows from files, see `moved_windows`."""
     parts = [(np.empty(0, "<U1"), np.empty(0, np.int64), np.empty((0, N_FRAMES, 2)))]
     for path in files:
         refused, spans, positions = read_arrays(path, "refused", "spans", "positions")
@@ -301,7 +305,7 @@ def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """How motions were made; a ValueError for a damaged file."""
+    """Read how motions were made. A damaged file is a ValueError."""
     names = ("made_from", "cell", "length_px", "pixels", "match")
     try:
         content = parse_json(read_regular(path))
@@ -313,11 +317,11 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _check_made(wanted: Mapping[str, Any]) -> None:
-    """Refuse a manifest whose values have other types or ranges than those that are written.
+    """Refuse a manifest with values of a wrong type, or outside of their range.
 
     Raises
     ------
-    ValueError, LookupError, TypeError, AttributeError : what is wrong.
+    ValueError, LookupError, TypeError, AttributeError : a value is wrong or missing.
     """
     whole_number("cell", wanted["cell"], 1, MAX_SIDE + 1)
     if not 0 <= real_number("length_px", wanted["length_px"]) < math.inf:
@@ -327,7 +331,7 @@ def _check_made(wanted: Mapping[str, Any]) -> None:
     pixels = wanted["pixels"]
     numbers = {name: real_number(name, value) for name, value in pixels["measured"].items()}
     simulated = SimulatedPixels(MeasuredPixels(**numbers), real_number("scale", pixels["scale"]))
-    simulated.draw(np.random.default_rng(0))  # refuses what no sensor has
+    simulated.draw(np.random.default_rng(0))  # refuses pixels that no sensor has
     recorded = wanted["match"]["recorded"]
     resynthesized = wanted["match"]["resynthesized"]
     if recorded.keys() != resynthesized.keys():
@@ -340,24 +344,25 @@ def _check_made(wanted: Mapping[str, Any]) -> None:
 def examples(
     motions: Motions, classes: tuple[str, ...]
 ) -> tuple[list[ResynthesizedWindow], list[RefusedWindow]]:
-    """Windows for a figure.
+    """Choose windows for a figure.
 
     Returns
     -------
-    shown : windows of different classes, as far as there are, with their first variations, which
-        are made once more.
-    refused : a window for each of the most frequent reasons that a path is not found.
+    shown : windows of different classes, at most `N_EXAMPLES`, with their first variations. The
+        variations are simulated again.
+    refused : a window for each of the most frequent reasons why a path was not found.
     """
     training = motions.training
     window_us = motions.config.window_us
     found = np.flatnonzero(motions.spans)
     labels, firsts = np.unique(training.labels[found], return_index=True)
+    # of classes that are spread evenly over all, the first window with a path
     spread = np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int)
+    chosen = found[firsts[np.unique(spread)]]
     reconstruction = Reconstruction(motions.config.sensor, window_us, motions.record["cell"])
     around_us = window_us * training.neighbours(window_us)
     shown = [
-        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes)
-        for i in found[firsts[np.unique(spread)]]
+        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in chosen
     ]
     refused = []
     for reason in list(motions.record["without_path"])[:N_REFUSED]:
@@ -374,13 +379,14 @@ def _example(
     around_us: Sequence[int],
     classes: tuple[str, ...],
 ) -> ResynthesizedWindow:
-    """Window `i`, as recorded and under its first variations."""
+    """Window `i`, as recorded and in its first variations."""
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
     columns = motions.training.events(i, motions.config.window_us, around_us)
     found = MotionPath(motions.paths[i], span=int(motions.spans[i]))
     image = reconstruction.image(columns, measured, found)
     path = found.at(shares())
+    # the image's displacement at half time, since the path's start: (1, 2)
     halfway = found.before + path[len(path) // 2 : len(path) // 2 + 1]
     seed = motions.settings.seed
     other_paths = []

@@ -1,6 +1,6 @@
 """The run folder of a training: its checkpoint, its history and its learning curves.
 
-A training resumes there only if it is the same one.
+A training resumes from a run folder only if everything that decides the weights is the same.
 """
 
 from __future__ import annotations
@@ -31,20 +31,21 @@ RUN_FILES = (CHECKPOINT, HISTORY)
 FORMAT = 9
 """Version of the checkpoint."""
 CHUNK = 1 << 24
-"""Events that a checksum takes at once. Ctrl-C waits for them."""
+"""Number of events that a checksum takes at once. Ctrl-C takes effect after them."""
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
-    """Write the checkpoint, and its history once more for people to read.
+    """Write the checkpoint, and the history once more as a file that people can read.
 
     Parameters
     ----------
+    run_folder : the folder of both files.
     state : `identity` from `identity_of`, `history`, and what else is needed to resume.
     """
     import torch
 
-    # If torch cannot write a file, as on a full disk, it raises a RuntimeError. So it writes into
-    # memory, and the file is written here.
+    # torch raises a RuntimeError if it cannot write a file, for example on a full disk. So torch
+    # writes into memory, and the file is written here, where a full disk is an OSError.
     content = io.BytesIO()
     torch.save(dict(state), content)
     with replacing(run_folder / CHECKPOINT) as part:
@@ -63,8 +64,8 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
 
     Raises
     ------
-    ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of
-        another release.
+    ValueError : the folder holds another run (the message says what differs); the checkpoint is
+        damaged, or of another release.
     OSError : the checkpoint is no regular file, or cannot be read.
     """
     path = run_folder / CHECKPOINT
@@ -80,8 +81,8 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
             file.seek(0)
             state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
             written = state["identity"]["format"]
-        except Exception as error:  # a damaged archive surfaces as any of a dozen types
-            # The error's text is not repeated: torch's advises loading the file unsafely.
+        except Exception as error:  # a damaged archive raises one of a dozen types of errors
+            # The error's text is not repeated, because torch advises to load the file unsafely.
             kind = type(error).__name__
             raise ValueError(
                 f"{path} is not a readable checkpoint ({kind}); remove it to start again"
@@ -108,7 +109,7 @@ def identity_of(
 
     A training resumes from a checkpoint only if its description is the same.
     """
-    own_file = settings.network.rpartition(":")[0]  # "module.py:build"
+    own_file = settings.network.rpartition(":")[0]  # of "module.py:build"; otherwise empty
     return _plain(
         {
             **data.config.to_dict(),
@@ -127,7 +128,7 @@ def identity_of(
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values as JSON gives them back: tuples are lists."""
+    """The values as they come back from JSON, with lists instead of tuples."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(values)))
     return plain
 
@@ -154,7 +155,7 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
 
 
 def other_run(folder: Path, what: str) -> ValueError:
-    """The error about a folder whose content was made with another `what`."""
+    """The error to raise for a folder whose content was made with another `what`."""
     return ValueError(
         f"{folder}: the folder holds a run with other {what}; remove it to start again, or train "
         "into another file"
@@ -162,9 +163,9 @@ def other_run(folder: Path, what: str) -> ValueError:
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
-    """Write loss and accuracy against epochs, as PNG.
+    """Plot loss and accuracy against epochs into a PNG file.
 
-    Returns False, and writes nothing, where matplotlib is not installed.
+    Returns False, and writes nothing, if matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure

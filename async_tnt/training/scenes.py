@@ -1,17 +1,19 @@
 """Scenes to learn from and to be tested on: windows of several recordings on one large sensor.
 
-Without the transform a volume is a sum over events. So a scene's volume is the sum of its
-recordings' volumes, each at its place, and of noise. A scene has:
+Without the transform a volume is a sum over events. So the volume of a scene is a sum, too: of the
+volumes of its recordings, each at its place, and of the volume of noise. A scene has:
 
-    objects   `OBJECTS` in the mean. The middle of each is anywhere on the sensor, so that some are
-              cut off at its border. Half of them are placed beside another one. Two are at least
-              `APART` from each other
-    starts    half of the objects begin later, by up to half a window
-    end       drawn by augmentation, the same for all objects
-    nothing   drawn by augmentation: a window that shows nothing is no object
-    noise     at a rate in `NOISE_HZ` from each pixel; in a third of the scenes also a hot pixel
+    objects   `OBJECTS` of them in the mean. The middle of each object is anywhere on the sensor, so
+              that some are cut off at its border. Half of the objects are placed beside another
+              object. Two objects are at least `APART` from each other
+    starts    half of the objects begin later than the scene, by up to half a window
+    end       augmentation draws when the scene ends. All of its objects end then
+    nothing   augmentation makes some windows show nothing. They are in the scene, but are no
+              objects
+    noise     each pixel has noise events, at a rate within `NOISE_HZ`. A third of the scenes also
+              have a hot pixel
 
-An object with fewer than `FEWEST` events by the scene's end is not there yet.
+An object with fewer than `FEWEST` events by the scene's end does not count as an object.
 """
 
 from __future__ import annotations
@@ -32,25 +34,25 @@ from async_tnt.volume.events import EVENT_DTYPE
 SIDES = 3
 """Width and height of a scene, as multiples of a recording's width and height."""
 OBJECTS = 2.5
-"""Objects of a scene, in the mean."""
+"""Number of objects of a scene, in the mean."""
 FEWEST = 10
-"""Fewest events of an object that counts."""
+"""Fewest events of a recording that counts as an object."""
 APART = 0.4
 """Least distance between two objects, as a share of a recording's shorter side."""
 TRIES = 20
-"""Places that are drawn for an object. If all are too near to others, it is dropped."""
+"""Number of places that are tried for an object. If none of them fits, the object is dropped."""
 BESIDE = 0.5
-"""Share of objects that are placed beside another one, at most a recording's shorter side away in x
-and in y: some cover each other."""
+"""Share of objects that are placed beside another object, so that some overlap. The distance is at
+most a recording's shorter side, in x and in y."""
 NOISE_HZ = (0.1, 0.9)
 """Range of the noise, in events per pixel and second."""
 HOT_EVENTS = (20, 300)
-"""Range of the events of a hot pixel."""
+"""Range of the number of events of a hot pixel."""
 MOST_NOISE = 100_000
-"""Noise events of a scene, at most: more, on a large sensor, would take longer than all else."""
+"""Most noise events of a scene. On a large sensor, more of them would take longer than all else."""
 OUTER = (2, 98)
-"""Percentiles of the positions of an object's events. Its middle is halfway between them, whatever
-noise is farther out."""
+"""Percentiles of the x and of the y of an object's events. The middle of the object is halfway
+between them, so that noise farther out does not move it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Scenes:
     Parameters
     ----------
     volumes : float32, (M, C, H, W).
-    scene, label : int64, (K,). The scene and the class of each object.
+    scene, label : int64, (K,). The number of each object's scene, and the object's class.
     position : float64, (K, 2). The middle of each object, (x, y) in sensor pixels.
     """
 
@@ -106,18 +108,23 @@ class SceneMaker:
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """Scenes made of all `windows`, at places that `rng` draws."""
         n = len(windows)
-        # A window that begins later must not show what came before: it becomes a recording.
+        # An object that begins later must not show the events before its window. So each window
+        # becomes a recording of its own, without these events.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
         windows = windows.cut(self.config.window_us)
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
         n_scenes = int(scene.max()) + 1
+        # each scene ends when a window drawn at random would end
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
         is_late = rng.random(n) < 0.5
-        later_us = np.where(is_late, rng.integers(0, max(1, self.config.window_us // 2), n), 0)
+        later_us = rng.integers(0, max(1, self.config.window_us // 2), n)
+        later_us[~is_late] = 0
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         own = self._crops(windows, draws)
         is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)
 
+        # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
+        # `fine` times finer than the recording's.
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
         recorded = _middles(windows, until_us[scene] - later_us)
         middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded)
@@ -134,9 +141,9 @@ class SceneMaker:
         return Scenes(volumes, scene[is_object], windows.labels[is_object], position[is_object])
 
     def _place(self, there: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-        """A place for one more object, (x, y) in sensor pixels; None where `TRIES` are too near.
+        """A place for one more object, (x, y) in sensor pixels; None if `TRIES` places do not fit.
 
-        there : (K, 2), the objects of the scene.
+        there : (K, 2), the places of the objects that are already in the scene.
         """
         end = np.array(self.config.sensor) - 1.0
         is_beside = len(there) > 0 and rng.random() < BESIDE
@@ -182,9 +189,9 @@ class SceneMaker:
         return found
 
     def _noise(self, n_scenes: int, until_us: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """The volumes of scenes without objects, (M, C, H, W).
+        """The volumes of the scenes' noise, (M, C, H, W).
 
-        until_us : int64, (M,), when each scene ends.
+        until_us : int64, (M,), the time at which each scene ends.
         """
         width, height = self.config.sensor
         recordings = []
@@ -206,10 +213,9 @@ class SceneMaker:
 
 
 def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
-    """The middle of each window's object, (x, y), float64, (N, 2); (0, 0) without any event.
+    """The middle (x, y) of each window's object: float64, (N, 2); (0, 0) without any event.
 
-    until_us : int64, (N,): only the events before this time count, in microseconds since a window's
-        start.
+    until_us : int64, (N,), in microseconds since a window's start. Only earlier events count.
     """
     middles = np.zeros((len(windows), 2))
     for i, (first, end) in enumerate(itertools.pairwise(windows.recordings.offsets)):

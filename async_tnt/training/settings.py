@@ -27,14 +27,16 @@ CHANGES = MappingProxyType(
         "drop": 0.0,
     }
 )
-"""Default values of `Augmentation` for a data set. Windows end early or begin late, as in a stream,
-or show nothing; they are shifted and scaled. They are not rotated, sheared nor thinned: rotation by
-10 degrees, shear by .1 and thinning by .3 cost .01 on N-CARS' held-out recordings."""
+"""Default values of `Augmentation` for a data set.
+
+Windows are shifted and scaled. Some end early or begin late, as in a stream, and some show nothing.
+Windows are not rotated, sheared or thinned: rotation by 10 degrees, shear by .1 and thinning by .3
+cost .01 of the accuracy on N-CARS' held-out recordings."""
 EARLIEST = 0.05
 """The earliest end of a window that ends early, as a share of the complete window."""
 OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
-"""Values of `Augmentation` that differ where a data set holds pictures. Their recordings are
-simulated once for all epochs, and need more changes."""
+"""Values of `Augmentation` that differ from `CHANGES` if a data set holds pictures. Recordings of
+pictures are simulated once for all epochs, so they need more augmentation."""
 
 RECIPE = MappingProxyType(
     {
@@ -49,66 +51,69 @@ RECIPE = MappingProxyType(
 )
 """Default values of `TrainSettings` for a data set."""
 EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
-"""Values of `TrainSettings` that differ for a map model. Classes are not balanced: in scenes,
-"nothing" is far more frequent than any class."""
+"""Values of `TrainSettings` that differ from `RECIPE` for a map model. Classes are not balanced: in
+scenes, "nothing" is far more frequent than any class."""
 
 LONGER_SIDE = 120
-"""Longer side of a default grid, in cells, at most."""
+"""Most cells along the longer side of a default grid."""
 BINS = 5
-"""Time bins of a default volume that has bins."""
+"""Number of time bins of a default volume that has bins."""
 OFTEN = 2.25
-"""Events of one polarity that an active pixel has in a window, from which on the default volume has
-time bins.
+"""Number of events of one polarity, per active pixel and window, from which on the default volume
+has time bins.
 
-Where pixels fire more often, counts may blur what moves: they cost .1 of the accuracy on the
-laboratory's `sessions` (3.0 events), and nothing on N-MNIST (3.2). Where pixels fire less often,
-bins cost accuracy: .03 on N-CARS (1.7). Windows under other motions always have bins: with a fifth
-of N-MNIST's events, .922 of the digits in held-out motions are right with bins, .897 with counts.
-"""
+Where pixels fire more often, counts may blur what moves. Counts instead of bins cost .1 of the
+accuracy on the made data set `sessions` of `experiments/RESULTS.md` (3.0 events), and nothing on
+N-MNIST (3.2). Where pixels fire less often, bins cost accuracy: .03 on N-CARS (1.7). Windows under
+other motions always have bins: with a fifth of N-MNIST's events, .922 of the digits in held-out
+motions are right with bins, and .897 with counts."""
 
 MIN_EPOCHS = 20
-"""Epochs by default, at least."""
+"""Least number of epochs by default."""
 MIN_STEPS = 4_000
-"""Steps of the optimizer by default, at least. They decide where windows are few."""
+"""Least number of optimizer steps by default. With few windows, a training has more epochs than
+`MIN_EPOCHS` to make so many steps."""
 STEPS_AN_EPOCH = 50
-"""Steps of an epoch by default, at least, after which a checkpoint is saved."""
+"""Least number of steps of an epoch by default. After each epoch a checkpoint is saved."""
 
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """How to train. Where the thesis is silent (everywhere but the loss), the choices are ours.
+    """How to train. Where the thesis states nothing, the choices are ours.
 
     Parameters
     ----------
-    epochs : number of epochs. After each a checkpoint is saved.
-    iterations : steps of the optimizer, instead of `epochs`; the last epoch may be cut short. The
-        thesis has 60,000, with a batch of 64.
-    batch : windows per step.
+    epochs : number of epochs. After each epoch a checkpoint is saved.
+    iterations : number of optimizer steps, instead of `epochs`. The last epoch may be cut short.
+        The thesis has 60,000 steps, with a batch of 64.
     passes : how often an epoch goes through the training windows.
+    batch : number of windows per step.
     learning_rate : the highest rate. It rises over the first steps, and falls along a cosine to 0.
     warm_up : the share of steps over which the rate rises.
     weight_decay : decay of AdamW. It acts on weights, not on biases.
     label_smoothing : share of the target that is spread over all classes.
-    averaging : the model has the exponential moving average of the weights of all steps. Each step
-        keeps this share of the average before. 0: the model has the last weights.
-    logarithm : the classifier takes log(1 + V) of each cell of the volume. Not for signed volumes.
-    seed : decides weights, order and augmentation.
+    averaging : above 0, the model has an exponential moving average of the weights of all steps.
+        Each step keeps this share of the average before it. 0: the model has the last weights.
+    logarithm : whether the classifier takes log(1 + V) of each cell V of the volume. Not for signed
+        volumes.
+    seed : decides the weights, the order of windows and the augmentation.
     augmentation : changes of the windows; None trains on the windows as they are.
-    precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. This
-        takes half the time or less where the hardware is fast at it (AMX, AVX512-BF16, GPUs), and
-        is slower elsewhere; "auto" finds out.
-    balance : each epoch shows every class equally often, and the validation loss weights classes
-        equally. Otherwise windows count equally.
-    network : the classifier, see `training.networks.build_network`. Not used where a model is
-        trained further.
-    everywhere : train a map model, on scenes of several windows, see `scenes`; `batch` counts these
-        windows.
-    ends_early : end before the last epoch where nothing that is measured on held-out windows can
-        improve, see `training.early_end`.
+    precision : "float32", "bfloat16" or "auto". With "bfloat16", the networks multiply in 16 bits,
+        and keep their weights in 32. This takes half the time or less if the hardware is fast at it
+        (AMX, AVX512-BF16, GPUs), and is slower elsewhere. "auto" chooses "bfloat16" on fast
+        hardware.
+    balance : whether each epoch shows every class equally often, and the validation loss weights
+        classes equally. Otherwise windows count equally.
+    network : the classifier, see `training.networks.build_network`. Not used if a model is trained
+        further.
+    everywhere : whether a map model is trained, on scenes of several windows, see `scenes`. `batch`
+        counts these windows.
+    ends_early : whether the training ends before its last epoch when no measurement on held-out
+        windows can improve any more, see `training.early_end`.
 
     Raises
     ------
-    ValueError : a value outside of its range.
+    ValueError : a value is outside of its range.
     """
 
     epochs: int = 10
@@ -148,7 +153,7 @@ class TrainSettings:
                 raise ParameterValueError(name, "must be in [0, 1)", value)
 
     def n_steps(self, n_windows: int) -> int:
-        """Steps of an epoch of `n_windows` training windows.
+        """The number of steps of an epoch of `n_windows` training windows.
 
         A last batch of a single window is left out: batch norm needs two.
         """
@@ -156,24 +161,25 @@ class TrainSettings:
         return max(1, n_full + (n_rest > 1))
 
     def n_epochs(self, n_windows: int) -> int:
-        """Epochs of `n_windows` training windows; the last one may be cut short."""
+        """The number of epochs of `n_windows` training windows; the last one may be cut short."""
         return math.ceil(self.n_iterations(n_windows) / self.n_steps(n_windows))
 
     def n_iterations(self, n_windows: int) -> int:
-        """Steps of all epochs of `n_windows` training windows."""
+        """The number of steps of all epochs of `n_windows` training windows."""
         return self.iterations or self.epochs * self.n_steps(n_windows)
 
 
 def default_config(**changes: Any) -> TNTConfig:
     """The default volume for training: each pixel's counts of ON and of OFF events.
 
-    changes : values of other fields. For the grid see `default_grid`, for time bins `with_bins`.
+    changes : fields of `TNTConfig` with other values. For the grid see `default_grid`, for time
+        bins `with_bins`.
     """
     return TNTConfig(**{"representation": "count", "landmark": "center", **changes})
 
 
 def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
-    """The volume in time bins, if pixels fire as often as `OFTEN`; otherwise `config` itself.
+    """The volume with time bins if pixels fire at least `OFTEN` times; otherwise `config` itself.
 
     events_a_pixel : events of one polarity that an active pixel has in a window.
 
@@ -191,7 +197,8 @@ def default_grid(sensor: Sensor) -> Sensor:
     """The default grid of a sensor, with the sensor's ratio of sides.
 
     A sensor of at most `LONGER_SIDE` pixels along its longer side gets a cell for each pixel. A
-    larger one gets `LONGER_SIDE` cells there. The networks need at least 16 cells along each side.
+    larger sensor gets `LONGER_SIDE` cells along that side. Each side gets at least 16 cells, which
+    the networks need.
 
     Examples
     --------
@@ -211,10 +218,10 @@ def settings_for(
     ----------
     config : how events become volumes.
     n_windows : number of windows to train on.
-    epochs : number of epochs. None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps, or fewer
-        where all that is held out is right (`ends_early`).
-    settings : other fields of `TrainSettings`, instead of the default ones. `augmentation` may be a
-        mapping: the fields of `Augmentation` that differ from the default ones.
+    epochs : number of epochs. None: at least `MIN_EPOCHS`, and so many that there are at least
+        `MIN_STEPS` steps. Then the training may end early (`ends_early`).
+    settings : fields of `TrainSettings` with other values than the defaults. `augmentation` may be
+        a mapping: the fields of `Augmentation` with other values than the defaults.
     """
     batch = settings.setdefault("batch", min(64, max(8, n_windows // 32)))
     passes = settings.setdefault("passes", max(1, STEPS_AN_EPOCH * batch // n_windows))
@@ -228,6 +235,7 @@ def settings_for(
         augmentation = Augmentation.for_sensor(
             config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation}
         )
+    # the logarithm is for volumes without negative cells
     recipe = {**RECIPE, "logarithm": config.polarity != "signed"}
     if settings.get("everywhere"):
         recipe |= EVERYWHERE

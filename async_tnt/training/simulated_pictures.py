@@ -1,10 +1,10 @@
 """Simulated recordings of a data set's pictures.
 
-Several processes make them, and they are kept in files beside the run.
+Several processes simulate the recordings, which are kept in files beside the run.
 
     <folder>/pictures.json          what the recordings are made of
-    <folder>/training_000000.npz    recordings from number 0 on, those of a picture one after the
-                                    other
+    <folder>/training_000000.npz    recordings from number 0 on. The recordings of a picture follow
+                                    each other
 
 Each picture is recorded several times, each time by another camera and in another motion, see
 `picture_scene`.
@@ -46,34 +46,35 @@ from async_tnt.volume.events import structured
 
 MANIFEST = "pictures.json"
 FORMAT = 4
-"""Version of the recordings. A change of what is simulated counts it up."""
+"""Version of the recordings. It grows by 1 with each change of what is simulated."""
 
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
-"""Recordings of all pictures together, on a sensor of `FULL_PIXELS` or less that stands still.
-Larger sensors, and sensors that follow the object, take longer: they have fewer."""
+"""Number of recordings of all pictures together, for a sensor of `FULL_PIXELS` or less that stands
+still. Other sensors take longer to simulate: larger ones, and those that follow the object. They
+have fewer recordings."""
 LEAST_TAKES = {"training": 2, "held-out": 1}
-"""Recordings of each picture, at least."""
+"""Least number of recordings of each picture."""
 MOST_TAKES = 200
-"""Recordings of each picture, at most."""
+"""Largest number of recordings of each picture."""
 FULL_PIXELS = 128 * 128
-"""Pixels of the largest sensor that has all of `RECORDINGS`. The number of recordings falls with
-the number of pixels beyond it."""
+"""Most pixels of a sensor that has all of `RECORDINGS`. A larger sensor has fewer recordings, in
+inverse proportion to its number of pixels."""
 FOLLOWED = 6
-"""How many times as long the recording of a sensor that follows the object takes, in the mean. It
-counts as so many times as many pixels."""
+"""Factor by which a simulation takes longer if the sensor follows the object, in the mean. The
+pixels of such a sensor count this many times."""
 LEAST_SHARE = 0.1
-"""Share of `RECORDINGS` that any sensor has, however large it is."""
+"""Least share of `RECORDINGS` that a sensor has, however large it is."""
 CHUNK = 200
-"""Recordings of a file, whose events a process has in memory together. A sensor that has fewer of
-`RECORDINGS` has fewer in a file, too."""
+"""Number of recordings in a file. A process has their events in memory together. So a large sensor,
+which has fewer recordings than `RECORDINGS`, has fewer in a file, too."""
 
 PAUSE = 100
-"""Windows without any event, beyond which the camera is taken to have been switched off."""
+"""Longest gap between events, in windows, in which the camera counts as switched on."""
 
 N_EXAMPLES = 5
-"""Classes of a figure."""
+"""Number of classes that a figure shows."""
 N_TAKES = 6
-"""Recordings of each class of a figure."""
+"""Number of recordings that a figure shows of each class."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +97,13 @@ class LabelledPicture:
 
 
 def find_pictures(folder: Path) -> dict[str, list[Path]]:
-    """The pictures to train on, by class name and sorted by name.
+    """Find the pictures to train on: class name -> picture files, sorted by name.
 
     Classes without pictures are left out.
 
     Raises
     ------
-    ValueError, OSError : as `find_recordings`; pictures of a class beside sessions.
+    ValueError, OSError : as `find_recordings`; a class has pictures, and the folder has sessions.
     """
     recordings = find_recordings(folder, "Train")
     found = {}
@@ -111,10 +112,12 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
         if pictures:
             found[class_folder.name] = pictures
 
-    sessions = [one.path.name for some in recordings.values() for one in some if one.between_us]
+    sessions = []
+    for of_class in recordings.values():
+        sessions += [part.path.name for part in of_class if part.between_us]
     if not sessions:
         return found
-    # folders of other names than the sessions' classes may hold figures
+    # Beside sessions, a folder that has not the name of a class may hold figures. It is ignored.
     in_both = recordings.keys() & found
     if in_both:
         picture = found[min(in_both)][0].relative_to(folder)
@@ -125,7 +128,7 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
 
 
 def _is_picture(path: Path) -> bool:
-    """Whether the file has a picture's name. A broken link is reported when it is read."""
+    """Whether the file has a picture's suffix. A broken link is reported later, when it is read."""
     return path.suffix.lower() in SUFFIXES and (path.is_file() or path.is_symlink())
 
 
@@ -141,18 +144,16 @@ def check_pictures(
     ----------
     found : class name -> its pictures.
     classes : names, in the order of the labels.
-    others : labels of what there is beside pictures.
+    others : labels of the recordings that the data set has beside pictures.
 
     Raises
     ------
-    ValueError : the same picture in two classes; a class with nothing else has no picture that can
-        be read.
+    ValueError : the same picture is in two classes; a class without recordings has no picture that
+        can be read.
     """
-    pictures = [
-        LabelledPicture(path, label)
-        for label, name in enumerate(classes)
-        for path in found.get(name, [])
-    ]
+    pictures = []
+    for label, name in enumerate(classes):
+        pictures += [LabelledPicture(path, label) for path in found.get(name, [])]
     good: list[LabelledPicture] = []
     left_out: list[str] = []
     if not pictures:
@@ -189,9 +190,9 @@ def _check_left(
     labels: set[int],
     left_out: Sequence[str],
 ) -> None:
-    """Refuse a class of pictures none of which can be read.
+    """Refuse a class that has only pictures, if none of them can be read.
 
-    labels : the labels of the classes that still have pictures.
+    labels : the labels of the classes that have recordings, or pictures that can be read.
     """
     empty = [name for k, name in enumerate(classes) if name in found and k not in labels]
     if not empty:
@@ -211,20 +212,22 @@ def with_pictures(
     seed: int,
     work: Work,
 ) -> tuple[Recordings, np.ndarray, np.ndarray, dict[str, Any]]:
-    """Recordings, and after them the recordings of pictures.
+    """Simulate recordings of pictures, and append them to the other recordings.
 
     Parameters
     ----------
-    split : what is learned and what is held out, as indices of `recordings` and of `pictures` after
-        them.
+    recordings : the recordings of a camera.
+    pictures : the pictures to record.
+    split : two arrays of indices, of what is learned from and of what is held out. The indices
+        number `recordings` first, and then `pictures`.
     settings : how pictures are recorded.
     seed : seed of the simulated recordings.
     work : where events and simulated recordings are kept, and how many processes simulate.
 
     Returns
     -------
-    All recordings, the indices of those that are learned and of those that are held out, and the
-    record of the pictures.
+    All recordings, the indices of those to learn from, the indices of those that are held out, and
+    what the model's record says of the pictures.
     """
     n_real = len(recordings)
     which = [indices[indices < n_real] for indices in split]
@@ -232,13 +235,14 @@ def with_pictures(
     with RecordingsWriter(work.store) as writer, TemporaryDirectory() as temporary:
         folder = (work.store or Path(temporary)) / "pictures"
         writer.extend(recordings)
+        # the recordings of pictures follow: first those to learn from, then those held out
         first = n_real
         for k, part in enumerate(RECORDINGS):
-            some = [pictures[i - n_real] for i in split[k] if i >= n_real]
+            of_part = [pictures[i - n_real] for i in split[k] if i >= n_real]
             takes = simulate_pictures(
                 writer,
                 part,
-                some,
+                of_part,
                 settings,
                 folder,
                 seed=seed,
@@ -248,8 +252,8 @@ def with_pictures(
             if part == "training":
                 about["takes"] = takes
             else:
-                about["held_out"] = len(some)
-            n = takes * len(some)
+                about["held_out"] = len(of_part)
+            n = takes * len(of_part)
             which[k] = np.concatenate([which[k], first + np.arange(n)])
             first += n
         about["settings"] = asdict(settings)
@@ -267,15 +271,21 @@ def simulate_pictures(
     workers: int = 1,
     progress: Callable[..., Bar] = Bar,
 ) -> int:
-    """Append the recordings of pictures to a writer, those of a picture one after the other.
+    """Simulate recordings of pictures, and append them to a writer, picture by picture.
 
     The same pictures, settings and seed give the same recordings, for any number of workers. A file
-    that is in the folder is not made again.
+    that is already in the folder is not made again.
 
     Parameters
     ----------
+    writer : gets the recordings.
     part : a key of `RECORDINGS`.
+    pictures : the pictures to record.
+    settings : how pictures are recorded.
     folder : the folder of the files; made if missing.
+    seed : seed of the simulation.
+    workers : number of processes.
+    progress : makes the progress bar, which counts recordings.
 
     Returns
     -------
@@ -329,8 +339,10 @@ def _checksum(pictures: Sequence[LabelledPicture]) -> int:
 def _chunks(
     part: str, pictures: Sequence[LabelledPicture], takes: int, folder: Path, size: int
 ) -> list[_Chunk]:
-    """The tasks that record a part: `takes` recordings of a picture, `size` of them in a file."""
-    recordings = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
+    """The tasks that make `takes` recordings of each picture, `size` recordings in a file."""
+    recordings = []
+    for i, picture in enumerate(pictures):
+        recordings += [(picture, i, take) for take in range(takes)]
     return [
         _Chunk(folder / f"{part}_{first:06}.npz", recordings[first : first + size])
         for first in range(0, len(recordings), size)
@@ -339,13 +351,13 @@ def _chunks(
 
 @dataclass(frozen=True)
 class _Chunk:
-    """What one task records.
+    """The recordings that one task makes.
 
     Parameters
     ----------
-    file : where the recordings go.
-    takes : the recordings. Each is a picture, the picture's number, and which of the picture's
-        recordings it is.
+    file : the file that the recordings are written to.
+    takes : a tuple for each recording: the picture, the number of the picture, and the number of
+        the recording among those of this picture.
     """
 
     file: Path
@@ -353,7 +365,7 @@ class _Chunk:
 
 
 def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) -> int:
-    """Write a chunk's file. Returns how many recordings it has."""
+    """Simulate the recordings of a chunk, and write its file. Returns how many there are."""
     recordings = []
     for _, group in groupby(chunk.takes, key=itemgetter(1)):
         takes = list(group)
@@ -371,7 +383,7 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
 
 
 def _read(chunk: _Chunk) -> list[np.ndarray]:
-    """The recordings of a chunk's file."""
+    """Read the recordings of a chunk's file."""
     *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
     has_types = [column.dtype for column in columns] == list(COLUMNS.values())
     is_whole = (
@@ -388,7 +400,13 @@ def _read(chunk: _Chunk) -> list[np.ndarray]:
 
 
 def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
-    """Refuse a folder of other pictures, and write down what its recordings are made of."""
+    """Refuse a folder of other pictures. Write what its recordings are made of into the manifest.
+
+    Parameters
+    ----------
+    path : the manifest.
+    made_from : what the recordings are made of.
+    """
     folder = path.parent
     there: dict[str, Any] = {}
     if not path.exists() and any(folder.glob("*.npz")):
@@ -409,7 +427,7 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
 def example_recordings(
     found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
 ) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """Examples for a figure: class, luminance and recordings of a picture.
+    """Examples for a figure: the name of a class, and luminance and recordings of a picture of it.
 
     The picture is the first one of the class that can be read.
     """
@@ -430,12 +448,12 @@ def example_recordings(
 def measure_camera(
     path: Path, window_us: int, sensor: tuple[int, int], **reading: Any
 ) -> MeasuredPixels:
-    """What a recording tells about the pixels of its camera.
+    """Measure the pixels of a camera, as far as a recording tells.
 
     Parameters
     ----------
     path : a recording of about a minute.
-    window_us : length of the windows in which it is measured, in microseconds.
+    window_us : length of the windows in which the pixels are measured, in microseconds.
     sensor : (width, height) of the camera.
     reading : other options of `open_recording`.
 
@@ -451,11 +469,12 @@ def measure_camera(
     events = events[np.argsort(events["t"], kind="stable")]
     t, x, y, p = [np.ascontiguousarray(events[name]) for name in "txyp"]
     gaps = np.diff(t, prepend=t[:1])
-    # a pause of the camera is not a quiet scene
+    # Remove pauses of the camera from the times. Otherwise they would count as a quiet scene.
     t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))
     if not len(t) or t[-1] - t[0] <= window_us:
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
     columns = [np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)]
-    windows = zip(*columns, strict=True)
-    return measure_pixels(list(windows)[:-1], sensor, window_us)
+    windows = list(zip(*columns, strict=True))
+    complete = windows[:-1]  # the last window may be cut short
+    return measure_pixels(complete, sensor, window_us)

@@ -1,14 +1,15 @@
-"""Calibration: one factor on all logits.
+"""Calibration of probabilities: all logits z are divided by one number, the temperature T.
 
-After it, nine of ten decisions with probability .9 are right.
+After calibration, nine of ten decisions with probability .9 are right.
 
     p = softmax(z / T)        T minimizes the negative log likelihood on held-out windows
 
-No decision changes, only its probability. The factor goes into the weights of the last layer, so a
-calibrated model is like any other.
+Calibration changes no decision, only its probability. The weights of the last layer are divided by
+T, so a calibrated model is like any other model.
 
-If all of a few windows are right, the best T is 0: certainty. So the loss counts one decision more
-for each class, whatever is shown (the rule of succession, as in Platt's scaling).
+If there are only a few windows and all are right, the likelihood is highest at T = 0, which means
+certainty. So the loss counts one imagined decision more for each class, in which this class is the
+truth (the rule of succession, as in Platt's scaling).
 
 References: Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599; Platt 1999, Probabilistic outputs
 for support vector machines.
@@ -26,13 +27,13 @@ from async_tnt.networks.models.model import Model
 LEAST = 0.2
 """The lowest temperature that is tried."""
 MOST = 5.0
-"""The highest temperature that is tried. Beyond, none makes up for what the network lacks."""
+"""The highest temperature that is tried. A poor network gains nothing from a higher one."""
 HALVINGS = 60
-"""Halvings of the range of the logarithm of 1 / T, down to the precision of float64."""
+"""How often the range of log(1 / T) is halved, down to the precision of float64."""
 
 
 def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
-    """The temperature T that gives these windows the smallest loss.
+    """The temperature T with the smallest loss on these windows.
 
     Parameters
     ----------
@@ -41,7 +42,8 @@ def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
 
     Examples
     --------
-    Six of eight decisions at .9 are right. With one more for each class, seven of ten are:
+    Six of eight decisions with probability .9 are right. With an imagined decision for each of the
+    two classes, seven of ten are right:
 
     >>> T = fit_temperature(np.array([[0.9, 0.1]] * 8), np.array([0] * 6 + [1] * 2))
     >>> z = np.log([0.9, 0.1]) / T
@@ -72,7 +74,7 @@ def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
 
 
 def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
-    """softmax(z / T) from softmax(z), along the last axis.
+    """The probabilities softmax(z / T) from the probabilities softmax(z), along the last axis.
 
     Examples
     --------
@@ -85,14 +87,16 @@ def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
 
 
 def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
-    """The model with its logits divided by `temperature`, and the temperature that it has now.
+    """The model with its logits divided by `temperature`, and the temperature that was applied.
 
-    A network stays as it is, with temperature 1, if it ends in neither a dense layer nor a
-    convolution, or if its last layer shares its weights with another.
+    A network stays as it is, with temperature 1, if its last layer is neither dense nor a
+    convolution, or if another layer has the same weights.
     """
     *others, last = model.network[CLASSIFIER]
-    shared = {name for layer in others for name in layer.get("weights", {}).values()}
-    if last["op"] not in ("dense", "conv") or shared & {*last["weights"].values()}:
+    in_others = {name for layer in others for name in layer.get("weights", {}).values()}
+    if last["op"] not in ("dense", "conv"):
+        return model, 1.0
+    if in_others & {*last["weights"].values()}:
         return model, 1.0
     scaled = {
         name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()

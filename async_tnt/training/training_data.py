@@ -1,4 +1,4 @@
-"""Windows to train on, to validate on and to test on, as values."""
+"""The data of a training: windows to train on, to validate on and to test on."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from async_tnt.volume.config import TNTConfig
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Windows to train on, to validate on and to test on.
+    """The data of a training: windows to train on, to validate on and to test on.
 
     Parameters
     ----------
     config : how events become volumes, with the sensor of the events.
     classes : names, one for each label from 0 on.
     training : windows to learn from.
-    validation : windows that are held out. They choose nothing but the temperature and, where
-        `TrainSettings.ends_early`, the last epoch. May be empty.
+    validation : windows that are held out; may be empty. They decide the temperature, and with
+        `TrainSettings.ends_early` the last epoch. They decide nothing else.
     record : a description of the recordings, for the model's record.
-    tests : name in the model's record -> windows, and more for that entry of the record.
+    tests : name of an entry of the model's record -> windows to test on, and further values of this
+        entry.
     held_out : names of the recordings to validate on.
     masked : bool, (H, W): pixels of the sensor whose events were left out; None: no pixel.
     left_out : the recordings that were left out and why, one line each.

@@ -1,4 +1,4 @@
-"""The volume that a training is asked for, and what its data set decides of it."""
+"""The volume that a user asks for, and the fields of it that the data set decides."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from async_tnt.volume.sensor import Sensor
 
 @dataclass(frozen=True)
 class VolumeChoice:
-    """A volume, some fields of which the data set decides.
+    """A volume. The data set decides some of its fields.
 
     Parameters
     ----------
-    config : the volume as far as it is chosen. Its sensor is replaced by that of the events.
-    fitted : the fields that the data set decides. "grid": that of the sensor, see `default_grid`.
-        "window_us": where no recording is as long as a window, windows become as long as the
-        longest recording. "bins": time bins where pixels fire often, see `with_bins`.
+    config : the volume as far as it is chosen. The sensor of the events replaces its sensor.
+    fitted : the fields that the data set decides. "grid": the default grid of the sensor, see
+        `default_grid`. "window_us": if no recording is as long as a window, windows become as long
+        as the longest recording. "bins": time bins if pixels fire often, see `with_bins`.
 
     Examples
     --------
@@ -41,13 +41,15 @@ class VolumeChoice:
         in_bins: bool = False,
         **fields: Any,
     ) -> VolumeChoice:
-        """What a user asks for; the data set decides the rest.
+        """The choice of a user. The data set decides the rest.
 
         Parameters
         ----------
-        grid, window_us : None: the data set decides.
-        in_bins : time bins, however often pixels fire, unless `fields` say otherwise.
-        fields : others of `TNTConfig`. If there are any, the data set does not decide on time bins.
+        grid, window_us : fields of `TNTConfig`; None: the data set decides.
+        in_bins : whether there are time bins, however often pixels fire. Ignored if there are
+            `fields`.
+        fields : other fields of `TNTConfig`. If there are any, the data set does not decide on time
+            bins.
 
         Raises
         ------
@@ -70,7 +72,7 @@ class VolumeChoice:
     def known(self, sensor: Sensor | None) -> dict[str, Any]:
         """The fields that are known before the data set is read, as `TNTConfig.to_dict` has them.
 
-        sensor : (width, height) of the events, if that is known.
+        sensor : (width, height) of the events; None: it is not known yet.
         """
         later = {"sensor", *self.fitted}
         if "bins" in self.fitted:
@@ -79,7 +81,7 @@ class VolumeChoice:
         return known if sensor is None else {**known, "sensor": sensor}
 
     def for_recordings(self, sensor: Sensor, longest_us: int | None) -> TNTConfig:
-        """The volume for recordings of a sensor; `with_bins` may follow.
+        """The volume for recordings of a sensor. Its time bins are decided later, by `with_bins`.
 
         longest_us : the length of the longest recording; None: there is none.
         """
@@ -87,5 +89,5 @@ class VolumeChoice:
         config = self.config.replace(sensor=sensor, grid=grid)
         if "window_us" not in self.fitted or longest_us is None or longest_us >= config.window_us:
             return config
-        whole_ms = -(-longest_us // 1000)
+        whole_ms = -(-longest_us // 1000)  # rounded up
         return config.replace(window_us=1000 * whole_ms)

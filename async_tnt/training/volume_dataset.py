@@ -1,4 +1,4 @@
-"""The windows of a folder of recordings as a map-style torch data set of volumes."""
+"""A torch data set (map-style) of volumes: those of the windows of a folder of recordings."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from async_tnt.volume.config import TNTConfig
 
 
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
-    """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
+    """A torch data set. Item i is the volume of window i, and the index of the window's class.
 
-    Volumes are computed when they are asked for, bit for bit those of a stream of the recording's
-    events in order; the events are in memory. A UserWarning tells how many recordings cannot be
-    read and are left out.
+    A volume is float32, shape (C, H, W). It is computed when its item is asked for, from events in
+    memory. It is bit for bit the volume of a stream of the recording's events, in order of time. A
+    UserWarning tells how many recordings cannot be read and are left out.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     Attributes
     ----------
     classes : names, by index.
-    windows : all of them, end to end from each recording's first event on.
+    windows : all windows, end to end from each recording's first event on.
     left_out : the recordings that are left out, with the reasons.
 
     Raises
     ------
-    ValueError, OSError : as `read_dataset`; recordings of another sensor than `config` has; no
-        recordings for "Test".
+    ValueError, OSError : as `read_dataset`; the recordings are of another sensor than `config`;
+        there are no recordings for "Test".
 
     Examples
     --------
@@ -88,5 +88,6 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
             raise IndexError(
                 f"`index` must be below {len(self)}, the number of windows, got {index}"
             )
+        # from the last window, -1, the slice goes on to the end (None), not to 0
         window = self.windows[index : index + 1 or None]
         return torch.from_numpy(self._volumes(window)[0].copy()), int(window.labels[0])

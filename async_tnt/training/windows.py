@@ -1,7 +1,8 @@
 """Windows on labelled recordings.
 
-A window does not copy its events: it is a recording and a start. So augmentation can move its start
-into the neighbouring window, as the windows of a live stream start at the stream's first event.
+A window has no copy of its events. It has the number of a recording, and a start. So augmentation
+can move the start of a window into its neighbour. Training needs this, because the windows of a
+live stream start anywhere: at the stream's first event.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from async_tnt.training.recordings import COLUMNS, Recordings
 
 JUDGED = 500
-"""Most windows in which the events of a pixel are counted."""
+"""Most windows of which `Windows.events_a_pixel` counts events."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,9 @@ class Windows:
 
     Parameters
     ----------
-    recordings : what the windows lie on.
-    recording, start_us : int64, shape (N,). Window i is recording `recording[i]` from `start_us[i]`
-        on.
+    recordings : the recordings that the windows are parts of.
+    recording, start_us : int64, shape (N,). Window i is a part of recording `recording[i]`, from
+        `start_us[i]` on.
     """
 
     recordings: Recordings
@@ -40,20 +41,22 @@ class Windows:
 
     @property
     def labels(self) -> np.ndarray:
-        """int64, shape (N,)."""
+        """The label of each window: int64, shape (N,)."""
         labels: np.ndarray = self.recordings.labels[self.recording]
         return labels
 
     def events(
         self, i: int, window_us: int, around_us: Sequence[int] = (0, 0)
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """t, x, y, p of the events of window `i`; t int64, microseconds since the window's start.
+        """Columns t, x, y, p of the events of window `i`.
+
+        t is int64, in microseconds since the window's start.
 
         Parameters
         ----------
-        i : which window.
-        window_us : its length.
-        around_us : how long before and after the window events are also returned.
+        i : number of the window.
+        window_us : length of the window.
+        around_us : the times before and after the window from which events are returned, too.
         """
         before_us, after_us = around_us
         part = self._slice(i, -before_us, window_us + after_us)
@@ -62,14 +65,21 @@ class Windows:
         return t, recordings.x[part], recordings.y[part], recordings.p[part]
 
     def neighbours(self, window_us: int) -> np.ndarray:
-        """Whether the windows before and after each one are among these: int64, (N, 2), 0 or 1."""
+        """Whether each window's neighbours, before and after it, are among these N windows.
+
+        int64, shape (N, 2), 0 or 1.
+        """
         starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
         known = set(starts)
-        beside = [[(r, t - window_us) in known, (r, t + window_us) in known] for r, t in starts]
+        beside = []
+        for recording, start_us in starts:
+            before = recording, start_us - window_us
+            after = recording, start_us + window_us
+            beside.append((before in known, after in known))
         return np.array(beside, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:
-        """Events of one polarity that an active pixel has in a window of `window_us`.
+        """The number of events of one polarity that an active pixel has in a window of `window_us`.
 
         It is the mean over the active pixels of a window, and the median over at most `JUDGED`
         windows. An edge that passes a pixel once leaves one or two events; an edge that passes it
@@ -79,6 +89,7 @@ class Windows:
         for i in np.linspace(0, len(self) - 1, min(JUDGED, len(self))).astype(int):
             _, x, y, p = self.events(i, window_us)
             if len(x):
+                # one number for each pixel and polarity
                 pixels = (y.astype(np.int64) << 17) | (x.astype(np.int64) << 1) | (p > 0)
                 shares.append(len(x) / len(np.unique(pixels)))
         return float(np.median(shares)) if shares else 0.0
@@ -86,8 +97,8 @@ class Windows:
     def cut(self, window_us: int, margin_us: int = 0) -> Windows:
         """The same windows of `window_us`, each on a recording of its own.
 
-        It is a copy of the window's events, and of the events in the `margin_us` before and after
-        it.
+        The recording holds copies of the window's events, and of the events in the `margin_us`
+        before and after it.
         """
         parts = [self._slice(i, -margin_us, window_us + margin_us) for i in range(len(self))]
         columns = {}
@@ -104,13 +115,13 @@ class Windows:
         return Windows(one_each, np.arange(len(self)), np.full(len(self), margin_us, np.int64))
 
     def _slice(self, i: int, from_us: int, until_us: int) -> slice:
-        """Events of window `i`'s recording between two times since the window's start."""
+        """The slice of events between two times since the start of window `i`, in its recording."""
         r = self.recording[i]
         t = self.recordings.t
         first = int(self.recordings.offsets[r])
         last = int(self.recordings.offsets[r + 1])
-        # events before a bound are those up to the microsecond before it: that one fits the type of
-        # t, which the bound itself may not; bounds of another type would copy t
+        # With bounds of another type than t, `searchsorted` would copy t. But a bound may be one
+        # more than this type holds. So the search is for the last microsecond before each bound.
         limits = np.iinfo(t.dtype)
         last_us = self.start_us[i] + np.array([from_us, until_us]) - 1
         last_us = np.clip(last_us, limits.min, limits.max).astype(t.dtype)
@@ -126,15 +137,15 @@ def make_windows(
     first_event: bool = False,
     duration_us: int | None = None,
 ) -> Windows:
-    """Windows end to end on each recording, as `Processor` opens them, without the empty ones.
+    """Divide recordings into windows end to end, as `Processor` does. Empty windows are left out.
 
     Parameters
     ----------
-    recordings : what the windows lie on.
+    recordings : the recordings to divide.
     window_us : length of a window.
-    which : indices of recordings; all by default.
+    which : indices of the recordings to divide; all by default.
     first_event : False: the first window starts at 0. True: it starts at each recording's first
-        event, as where a stream is classified without an explicit start.
+        event, as in a stream that is classified without an explicit start.
     duration_us : a recording has at most `duration_us // window_us` windows, and at least one.
         None: up to its last event, so the last window may be partial.
     """
@@ -143,7 +154,7 @@ def make_windows(
     for r in which:
         t = recordings.t[recordings.offsets[r] : recordings.offsets[r + 1]].astype(np.int64)
         first_us = int(t[0]) if first_event and len(t) else 0
-        # only windows that hold events: a pause of hours costs nothing
+        # only windows that hold events, so that a pause of hours costs nothing
         index = np.unique((t - first_us) // window_us)
         if duration_us is not None:
             index = index[index < max(1, duration_us // window_us)]

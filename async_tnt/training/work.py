@@ -1,4 +1,4 @@
-"""How a data set is prepared: where its events are kept, by how many processes, and who is told."""
+"""How a data set is prepared: where its events are kept, and by how many processes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from async_tnt.base.progress import Bar
 
 @dataclass(frozen=True)
 class Work:
-    """How a data set is prepared. Results do not depend on it.
+    """How a data set is prepared. The prepared data do not depend on it.
 
     Parameters
     ----------
-    store : a folder for the events and for what is simulated, see `RecordingsWriter`; None: events
-        are in memory, and what is simulated is in a temporary folder.
-    workers : processes that simulate.
+    store : a folder for the events and for simulated recordings, see `RecordingsWriter`. None:
+        events are in memory, and simulated recordings are in a temporary folder.
+    workers : number of processes that simulate.
     progress : makes the progress bars, which count recordings.
     """
 
