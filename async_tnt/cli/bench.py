@@ -17,6 +17,7 @@ from async_tnt.base.package import __version__
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import say
+from async_tnt.kernels.shipped import state_of_kernels
 from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.nmnist import SENSOR as SAMPLE_SENSOR
@@ -83,6 +84,7 @@ def main(args: argparse.Namespace) -> int:
         report["decisions_a_second"] = _spread(rates)
 
     report["machine"] = machine()
+    report["kernels"] = state_of_kernels()
     report["model"] = {
         "name": args.model,
         "config": model.config.to_dict(),
@@ -220,6 +222,8 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
     versions = [f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba")]
     load = f"load {about['load_1min']}"
     yield f"{about['cpu']}, {about['cores']} cores, {load}; {', '.join(versions)}"
+
+    yield f"kernels: {report['kernels']}"
 
     sensor = "{} x {}".format(*config["sensor"])
     pixels = f"{sensor} pixels, landmark {config['landmark']}"

@@ -174,10 +174,7 @@ class _Waiting:
         if not has_folder:
             where = "in every process, as no cache folder can be written (see NUMBA_CACHE_DIR)"
         _logger.warning(
-            "async_tnt: compiling kernels, %s, for some seconds; the package's compiled code does "
-            "not fit: %s",
-            where,
-            shipped().why_not,
+            "async_tnt: compiling kernels for some seconds, %s (%s)", where, shipped().why_not
         )
 
 

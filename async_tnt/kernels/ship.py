@@ -31,10 +31,15 @@ def all_kinds() -> list[str]:
     return list(KINDS) if is_x86() else [GENERIC]
 
 
-def compile_all(path: Path) -> None:
-    """Compile all entry points for the processor that this process compiles for."""
+def import_all() -> None:
+    """Import all modules of kernels, so that all entry points are known."""
     for module in pkgutil.walk_packages(kernels.__path__, f"{kernels.__name__}."):
         importlib.import_module(module.name)
+
+
+def compile_all(path: Path) -> None:
+    """Compile all entry points for the processor that this process compiles for."""
+    import_all()
     prepare(*ENTRY_POINTS)
     write_file(path, {entry.name: dumps(entry.result._reduce()) for entry in ENTRY_POINTS})
 

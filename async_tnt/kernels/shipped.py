@@ -72,7 +72,7 @@ def shipped() -> Shipped:
         return Shipped(why_not=f"{settings[0]} is set")
     kind = chosen_kind()
     if kind is None:
-        return Shipped(why_not="there is none for this processor")
+        return Shipped(why_not="no package brings code for this processor")
     return read_file(FOLDER / f"{kind}.code")
 
 
@@ -81,7 +81,7 @@ def read_file(path: Path) -> Shipped:
     try:
         head, _, body = path.read_bytes().partition(b"\n")
     except OSError:
-        return Shipped(why_not="the package has none for this processor")
+        return Shipped(why_not="the package brings no code for this processor")
     try:
         about = json.loads(head)
         key = dict(about["key"])
@@ -116,6 +116,14 @@ def write_file(path: Path, code: dict[str, bytes]) -> None:
     about = {"key": own_key(), "sha256": hashlib.sha256(body).hexdigest(), "code": places}
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(json.dumps(about).encode() + b"\n" + body)
+
+
+def state_of_kernels() -> str:
+    """Whether this process uses compiled code of the package, and if not, why, in words."""
+    why_not = shipped().why_not
+    if why_not:
+        return f"compiled on this machine: {why_not}"
+    return f"compiled code of the package, for {chosen_kind()} processors"
 
 
 def load_shipped(name: str, context: Any) -> Any:

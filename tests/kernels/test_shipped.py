@@ -1,0 +1,179 @@
+"""Compiled code in the package: it is used if it fits, and never otherwise."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from async_tnt.kernels import shipped
+from async_tnt.kernels.target import GENERIC, KINDS, chosen_kind, settings_for
+
+MAKE = """
+import sys
+from pathlib import Path
+from numba.core.serialize import dumps
+from async_tnt.kernels.decisions.classify import softmax
+from async_tnt.kernels.shipped import write_file
+softmax.prepare()
+write_file(Path(sys.argv[1]), {softmax.name: dumps(softmax.result._reduce())})
+"""
+USE = """
+import sys
+from pathlib import Path
+import numpy as np
+from numba.core import event
+from async_tnt.kernels import shipped
+shipped.FOLDER = Path(sys.argv[1])
+from async_tnt.kernels.decisions.classify import softmax
+compilations = event.RecordingListener()
+event.register("numba:compile", compilations)
+softmax.prepare()
+logits, probabilities = np.array([1, 3, 2], np.float32), np.empty(3)
+best = softmax.call(logits, probabilities)
+print(bool(compilations.buffer), best, probabilities.tolist(), shipped.shipped().why_not, sep="|")
+"""
+
+
+def run(code, *words, **environment):
+    environment = os.environ | environment
+    for name, value in list(environment.items()):
+        if value is None:
+            del environment[name]
+    command = [sys.executable, "-c", code, *map(str, words)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with compiled code of one entry point, for this machine."""
+    if chosen_kind() is None:
+        pytest.skip("this processor is of no kind that a package brings code for")
+    folder = tmp_path_factory.mktemp("compiled")
+    # what Numba has loaded from its cache it cannot write again
+    empty = str(tmp_path_factory.mktemp("cache"))
+    run(MAKE, folder / f"{chosen_kind()}.code", NUMBA_BOUNDSCHECK=None, NUMBA_CACHE_DIR=empty)
+    return folder
+
+
+@pytest.fixture
+def use(folder, tmp_path):
+    """A function: whether a new process compiled, what it computed, and why, in an empty cache."""
+
+    def used(where=folder, **environment):
+        settings = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_BOUNDSCHECK": None}
+        done = run(USE, where, **settings | environment)
+        compiled, best, probabilities, why_not = done.stdout.strip("\n").split("|")
+        assert done.stderr == ""
+        return compiled == "True", (best, probabilities), why_not
+
+    return used
+
+
+def test_code_that_fits_is_used_and_gives_the_same_bits(use, tmp_path):
+    compiled, answer, why_not = use()
+    assert (compiled, why_not) == (False, "")
+    compiled, same, why_not = use(tmp_path / "nothing")
+    assert (compiled, same) == (True, answer) and "brings no code" in why_not
+
+
+@pytest.mark.parametrize("name", shipped.own_key())
+def test_code_for_something_else_is_not_used(name, use, folder, tmp_path):
+    file = folder / f"{chosen_kind()}.code"
+    head, _, body = file.read_bytes().partition(b"\n")
+    about = json.loads(head)
+    about["key"][name] = "other"
+    (tmp_path / file.name).write_bytes(json.dumps(about).encode() + b"\n" + body)
+    compiled, (best, _), why_not = use(tmp_path)
+    assert (compiled, best) == (True, "1")
+    assert "other" in why_not or why_not == "the kernels have been changed"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda whole: whole[:-1],
+        lambda whole: whole[:-100] + bytes(100),
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: b"",
+        lambda whole: b"{}\n" + whole,
+        lambda whole: b"[1]\n" + whole,
+        lambda whole: b'{"key": 1, "sha256": "", "code": {}}\n' + whole,
+        lambda whole: b"\xff\xfe\n" + whole,
+    ],
+)
+def test_a_damaged_or_foreign_file_is_not_used(damage, use, folder, tmp_path):
+    file = folder / f"{chosen_kind()}.code"
+    (tmp_path / file.name).write_bytes(damage(file.read_bytes()))
+    compiled, (best, _), why_not = use(tmp_path)
+    assert (compiled, best) == (True, "1") and why_not == f"{file.name} is damaged"
+
+
+def test_code_that_cannot_be_read_is_compiled(use, tmp_path):
+    """Its checksum is right, but it is no code."""
+    name = "decisions.classify.softmax"
+    shipped.write_file(tmp_path / f"{chosen_kind()}.code", {name: b"not what Numba writes"})
+    compiled, (best, _), _ = use(tmp_path)
+    assert (compiled, best) == (True, "1")
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"NUMBA_BOUNDSCHECK": "1"}, "NUMBA_BOUNDSCHECK is set"),
+        ({"NUMBA_OPT": "1"}, "NUMBA_OPT is set"),
+        ({"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": "+sse4.2"}, "this processor"),
+    ],
+)
+def test_where_numba_compiles_otherwise_no_code_is_used(settings, reason, use):
+    compiled, (best, _), why_not = use(**settings)
+    assert (compiled, best) == (True, "1") and reason in why_not
+
+
+@pytest.mark.parametrize("kind", [*KINDS, GENERIC])
+def test_the_settings_for_a_kind_choose_it(kind):
+    code = "from async_tnt.kernels.target import LANES, chosen_kind; print(chosen_kind(), LANES)"
+    done = run(code, **settings_for(kind))
+    assert done.stdout == f"{kind} {16 if kind == 'x86-64-v4' else 8}\n"
+
+
+COMMANDS = """
+import shutil, sys
+from pathlib import Path
+from numba.core import event
+from async_tnt.cli import main
+from async_tnt.kernels.entry_points import ENTRY_POINTS
+from async_tnt.kernels.ship import import_all
+from async_tnt.sources import sample_recordings
+import_all()
+for entry in ENTRY_POINTS:
+    entry.prepare()
+compilations = event.RecordingListener()
+event.register("numba:compile", compilations)
+samples = sample_recordings()
+dataset = Path(sys.argv[1])
+(dataset / "3").mkdir()
+shutil.copy(samples[3], dataset / "3")
+for words in (
+    ["run", "--every-us", "20000"],
+    ["run", "--model", "digits-everywhere", str(samples[3])],
+    ["run", "--every-events", "100", "--roi", "0,0,30,30", str(samples[3])],
+    ["info", str(samples[3])],
+    ["mask", str(samples[3]), "--out", str(dataset / "mask.npy")],
+    ["evaluate", "digits", str(dataset)],
+):
+    print(words[0], main(words), file=sys.stderr)
+found = [e.data["dispatcher"].py_func for (_, e) in compilations.buffer if e.is_start]
+print("\\n", [f"{f.__module__}.{f.__name__}" for f in found])
+"""
+
+
+def test_the_entry_points_are_all_that_commands_call(tmp_path):
+    """So a package that brings them all brings enough: no command compiles anything else."""
+    done = run(COMMANDS, tmp_path)
+    assert done.stdout.splitlines()[-1] == " []", done.stderr
+    codes = [line.split() for line in done.stderr.splitlines() if line.endswith((" 0", " 2"))]
+    assert [code for _, code in codes] == ["0"] * 6, done.stderr
