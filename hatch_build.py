@@ -47,7 +47,9 @@ class CompiledKernels(BuildHookInterface):
         self._folder = tempfile.mkdtemp()
         words = ["--all"] if _choice() == "all" else []
         command = [sys.executable, "-m", "async_tnt.kernels.ship", *words, "--out", self._folder]
-        done = subprocess.run(command, env=os.environ | {"PYTHONPATH": self.root})
+        # pip passes what the build needs through this variable
+        paths = os.pathsep.join([self.root, os.environ.get("PYTHONPATH", "")])
+        done = subprocess.run(command, env=os.environ | {"PYTHONPATH": paths})
         if done.returncode:
             self.app.display_warning("the kernels are not compiled: they will be at first use")
             return

@@ -78,7 +78,7 @@ def cached(function: Callable[..., Any], **options: Any) -> Any:
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a part of kernels once, and link it into each kernel that calls it."""
-    return _strict(no_cpython_wrapper=True)(function)
+    return _strict()(function)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.base.checks import plain_array
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.jit import cached
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
     return np.ascontiguousarray(sum(w * down[:, j : j + columns] for j, w in enumerate(weights)))
 
 
-@compiled
+@cached
 def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> None:
     """Shift an image by a fraction of pixels, bilinearly.
 
