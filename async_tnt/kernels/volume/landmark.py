@@ -26,7 +26,7 @@ work. Formulas take plain numbers, which stay in registers: `displace_line` need
 
 import numpy as np
 
-from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.volume import state as S
 
 
@@ -98,7 +98,7 @@ def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
     return (d_x + slope_x * sum_f) / count, (d_y + slope_y * sum_f) / count, np.float64(dt)
 
 
-@compiled
+@inlined
 def displace(buffer, ints, t, x, y, m):
     """Write the displacement of each event of a block into NUM_X, NUM_Y, DEN.
 
@@ -119,7 +119,7 @@ def displace(buffer, ints, t, x, y, m):
         _line_block(buffer, ints, t, x, y, m, mode == S.MODE_LINE_FLOW_REMOVED)
 
 
-@compiled
+@inlined
 def _running_block(buffer, ints, t, x, y, m):
     sums = block_of(ints, S.PREFIX)
     num_x = block_of(buffer, S.NUM_X)
@@ -149,7 +149,7 @@ def _running_block(buffer, ints, t, x, y, m):
     ints[S.SUM_Y] = sum_y + (both >> 32)
 
 
-@compiled
+@inlined
 def _fixed_block(buffer, ints, t, x, y, m):
     num_x = block_of(buffer, S.NUM_X)
     num_y = block_of(buffer, S.NUM_Y)
@@ -162,7 +162,7 @@ def _fixed_block(buffer, ints, t, x, y, m):
     _add_to_sums(ints, x, y, m)
 
 
-@compiled
+@inlined
 def _raw_block(buffer, ints, x, y, m):
     num_x = block_of(buffer, S.NUM_X)
     num_y = block_of(buffer, S.NUM_Y)
@@ -172,7 +172,7 @@ def _raw_block(buffer, ints, x, y, m):
     _add_to_sums(ints, x, y, m)
 
 
-@compiled
+@inlined
 def _line_block(buffer, ints, t, x, y, m, remove_flow):
     num_x = block_of(buffer, S.NUM_X)
     num_y = block_of(buffer, S.NUM_Y)
@@ -195,7 +195,7 @@ def _line_block(buffer, ints, t, x, y, m, remove_flow):
     ints[S.SUM_T] = sum_t
 
 
-@compiled
+@inlined
 def _add_to_sums(ints, x, y, m):
     sum_x = np.int64(0)
     sum_y = np.int64(0)
