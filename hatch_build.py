@@ -37,7 +37,10 @@ class CompiledKernels(BuildHookInterface):
         """What the build needs besides `hatchling`."""
         if _choice() == "none":
             return []
-        return [name for name in self.metadata.core.dependencies if name.startswith("num")]
+        if _choice() == "all":
+            return list(self.config["released-with"])
+        # the newest, as the installation itself will take
+        return [name for name in self.metadata.core.dependencies if name.startswith("numba")]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, and give the wheel the name of what it fits."""

@@ -17,13 +17,14 @@ import functools
 import hashlib
 import json
 import pickle
+import platform
+import sys
 import sysconfig
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import llvmlite
-import llvmlite.binding as llvm
 import numba
 from numba.core.runtime.nrt import rtsys
 
@@ -44,7 +45,7 @@ def own_key() -> dict[str, str]:
         "numba": numba.__version__,
         "llvmlite": llvmlite.__version__,
         "python": str(sysconfig.get_config_var("SOABI")),
-        "system": llvm.get_process_triple(),
+        "system": f"{sys.platform} {platform.machine().lower()}",
         "processor": str(chosen_kind()),
         "numbers in a register": str(LANES),
     }
