@@ -26,7 +26,7 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     events = EVENTS.copy()
     events["x"] += 60 if "--roi" in options else 0
     with sent(events) as port:
-        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        url = f"udp://127.0.0.1:{port}?timeout_s=3"
         code, out, err = program("run", url, "--json", "--every-us", 20_000, *options.split())
     confidence = 0.9 if "--confidence" in options else None
     processor = Processor(load_model("digits"), every_us=20_000, confidence=confidence)

@@ -36,7 +36,7 @@ EVENTS["t"] += 7_000_000_000  # a camera that has been on for two hours
 
 def test_a_stream_is_recorded_whole_until_it_ends(program, tmp_path):
     with sent(EVENTS) as port:
-        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        url = f"udp://127.0.0.1:{port}?timeout_s=3"
         code, out, err = program(
             "record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path / "gestures"
         )
@@ -199,7 +199,7 @@ def test_without_its_description_a_recording_is_whole(program, tmp_path, monkeyp
 
     monkeypatch.setattr(record, "write_text", fail)
     with sent(EVENTS) as port:
-        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        url = f"udp://127.0.0.1:{port}?timeout_s=3"
         code, _, err = program(
             "record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path
         )

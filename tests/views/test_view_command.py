@@ -199,7 +199,7 @@ def test_events_of_the_network(tmp_path, program):
     out = tmp_path / "a.rrd"
     with sent(EVENTS) as port:
         code, printed, err = program(
-            "view", f"udp://127.0.0.1:{port}?timeout_s=0.5", "--out", out, "--keep-up", 60_000
+            "view", f"udp://127.0.0.1:{port}?timeout_s=3", "--out", out, "--keep-up", 60_000
         )
     assert code == 0 and f"{len(EVENTS):,} events (" in err
     assert printed.startswith(f"{out}: {len(EVENTS):,} events, ")
