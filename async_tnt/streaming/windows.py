@@ -176,9 +176,11 @@ class WindowScheduler:
             return
         oldest = self._open[0]
         n = oldest.n_received - sharing.received[0]
-        for volume, before in zip(self._open, sharing.received, strict=True):
-            if volume.n_received == before:
-                volume.absorb(sharing.columns, sharing.first, sharing.first + n)
+        if n:
+            last = sharing.first + n
+            for volume, before in zip(self._open, sharing.received, strict=True):
+                if volume.n_received == before:
+                    volume.absorb(sharing.columns, sharing.first, last)
         n_received, n_late, n_decided = sharing.counts
         n_late_of_oldest, n_decided_of_oldest = sharing.of_oldest
         self._n_received = n_received + n
@@ -253,9 +255,9 @@ class WindowScheduler:
     def set_limit(self, trigger_us: int) -> None:
         """Make `absorb` stop where a window ends or begins, or at `trigger_us`."""
         if self._open and self._next_start_us is not None:
+            # The others get the events that the oldest one absorbs, and end later.
             limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
-            for volume in self._open:
-                volume.set_limit(limit_us)
+            self._open[0].set_limit(limit_us)
 
     def close_oldest(self, early: bool = False) -> None:
         """Close the oldest window; its volume is empty then, and free for another window.
