@@ -12,10 +12,15 @@ import math
 import warnings
 from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from async_tnt.base.checks import ParameterValueError, checked_time, positive_int
 from async_tnt.base.messages import short
+from async_tnt.kernels.entry_points import prepare
+from async_tnt.kernels.volume.absorb import absorb_into_others
+from async_tnt.kernels.volume.state import RECEIVED
 from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
@@ -41,8 +46,8 @@ class _Sharing(NamedTuple):
     """The scheduler's counts before these events: received, late, dropped_decided."""
     of_oldest: tuple[int, int]
     """The oldest window's counts before these events: late, dropped_decided."""
-    received: list[int]
-    """Number of events that each window had received before these events."""
+    received: np.ndarray
+    """Number of events that each window had received before these events, int64."""
 
 
 class _Closing(NamedTuple):
@@ -83,7 +88,24 @@ class WindowScheduler:
         self.regressor = regressor
         n_volumes = math.ceil(config.window_us / self.hop_us)
         self.volumes = [TNTVolume(config, regressor=regressor) for _ in range(n_volumes)]
+        # Stored events are not absorbed before a volume is read.
+        self._absorbs_at_once = self.overlap and not config.needs_replay
+        self._share_memory()
         self.reset()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._share_memory()
+
+    def _share_memory(self) -> None:
+        """Lay the states of overlapping windows side by side, for one compiled call for all."""
+        if not self._absorbs_at_once:
+            return
+        prepare(absorb_into_others)
+        self._states = np.empty((len(self.volumes), self.volumes[0].buffer.size))
+        self._rows = {volume: row for row, volume in enumerate(self.volumes)}
+        for volume, memory in zip(self.volumes, self._states, strict=True):
+            volume.move_to(memory)
 
     def reset(self) -> None:
         """Close all windows, and set all counts to zero."""
@@ -162,8 +184,7 @@ class WindowScheduler:
             oldest = self._open[0]
             counts = (self._n_received, self._n_late, self._n_dropped_decided)
             of_oldest = (oldest.n_late, oldest.n_dropped_decided)
-            received = [volume.n_received for volume in self._open]
-            self._sharing = _Sharing(columns, first, counts, of_oldest, received)
+            self._sharing = _Sharing(columns, first, counts, of_oldest, self._received())
 
     def share(self) -> None:
         """Add the events that the oldest window has absorbed since `begin_sharing` to the others.
@@ -175,18 +196,40 @@ class WindowScheduler:
         if sharing is None:
             return
         oldest = self._open[0]
-        n = oldest.n_received - sharing.received[0]
+        n = oldest.n_received - int(sharing.received[0])
         if n:
-            last = sharing.first + n
-            for volume, before in zip(self._open, sharing.received, strict=True):
-                if volume.n_received == before:
-                    volume.absorb(sharing.columns, sharing.first, last)
+            self._absorb_into_others(sharing, sharing.first + n)
         n_received, n_late, n_decided = sharing.counts
         n_late_of_oldest, n_decided_of_oldest = sharing.of_oldest
         self._n_received = n_received + n
         self._n_late = n_late + oldest.n_late - n_late_of_oldest
         self._n_dropped_decided = n_decided + oldest.n_dropped_decided - n_decided_of_oldest
         self._sharing = None
+
+    def _absorb_into_others(self, sharing: _Sharing, last: int) -> None:
+        """Add events up to `last` to each other window that has not received them yet."""
+        columns = sharing.columns
+        if self._absorbs_at_once:
+            rows = self._open_rows()
+            absorb_into_others.call(
+                self._states, rows, sharing.received, *columns[:4], sharing.first, last
+            )
+            return
+        for volume, before in zip(self._open, sharing.received, strict=True):
+            if volume.n_received == before:
+                volume.absorb(columns, sharing.first, last)
+
+    def _open_rows(self) -> np.ndarray:
+        """The rows of the open windows' states, the oldest first."""
+        rows = self._rows
+        return np.array([rows[volume] for volume in self._open])
+
+    def _received(self) -> np.ndarray:
+        """How many events each open window has received so far, int64."""
+        if self._absorbs_at_once:
+            received: np.ndarray = self._states.view(np.int64)[self._open_rows(), RECEIVED]
+            return received
+        return np.array([volume.n_received for volume in self._open])
 
     def recover(self) -> None:
         """Finish what an exception, such as Ctrl-C, has interrupted, or take it back.

@@ -267,6 +267,12 @@ class TNTVolume:
             self._replay.run(self._buffer, self._array)
         return self._buffer
 
+    def move_to(self, memory: np.ndarray) -> None:
+        """Keep the buffer in this memory from now on: float64, as large as `buffer`."""
+        memory[:] = self._buffer
+        self._buffer = memory
+        self._ints = memory.view(np.int64)
+
     @property
     def buffer(self) -> np.ndarray:
         """The same array as `state()`, but stored events are not replayed.

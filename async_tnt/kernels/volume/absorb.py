@@ -16,7 +16,7 @@ parameters: to unpack a tuple of arrays takes Numba longer than to take the arra
 """
 
 import numpy as np
-from numba import int64
+from numba import float64, int64
 
 from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
@@ -90,6 +90,23 @@ def absorb(buffer, t, x, y, p, first, last):
                 first += 1
     take_gil(lock)
     return first
+
+
+@entry_point(float64[:, ::1], int64[::1], int64[::1], *COLUMNS, int64, int64, calls=(absorb,))
+def absorb_into_others(states, rows, received, t, x, y, p, first, last):
+    """`absorb` for each volume but the first, if it has not received these events yet.
+
+    Parameters
+    ----------
+    states : float64, (volumes, numbers). Each row is a volume's `state`. Updated in place.
+    rows : int64. The rows of the volumes.
+    received : int64. What each volume had received before these events.
+    t, x, y, p, first, last : see `absorb`.
+    """
+    for k in range(1, rows.size):
+        buffer = states[rows[k]]
+        if buffer.view(np.int64)[S.RECEIVED] == received[k]:
+            absorb(buffer, t, x, y, p, first, last)
 
 
 @entry_point(S.STATE, int64, int64, int64, int64)
