@@ -48,8 +48,8 @@ class CompiledKernels(BuildHookInterface):
         if version == "editable" or _choice() == "none":
             return
         self._folder = tempfile.mkdtemp()
-        words = ["--all"] if _choice() == "all" else []
-        command = [sys.executable, "-m", "async_tnt.kernels.ship", *words, "--out", self._folder]
+        words = ["all"] if _choice() == "all" else []
+        command = [sys.executable, "-m", "async_tnt.kernels.ship", self._folder, *words]
         # pip passes what the build needs through this variable
         paths = os.pathsep.join([self.root, os.environ.get("PYTHONPATH", "")])
         done = subprocess.run(command, env=os.environ | {"PYTHONPATH": paths})

@@ -3,7 +3,7 @@
 This module imports nothing, so that programs start at once.
 """
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -99,6 +99,8 @@ class EntryPoint:
         if self.is_ready:
             return
         with compiling:
+            if self.is_ready:  # since another thread held the lock
+                return
             for called in self.calls:
                 called.prepare()
             with _not_collecting():

@@ -81,7 +81,7 @@ print(classify_cells.is_ready, len(classify_cells.kernel.overloads))
 
 def test_threads_may_prepare_the_same_kernel():
     done = subprocess.run([sys.executable, "-c", IN_TWO_THREADS], capture_output=True, text=True)
-    assert done.stdout == "True 1\n", done.stderr
+    assert (done.stdout, done.stderr) == ("True 1\n", "")
 
 
 COMPILING = """

@@ -10,6 +10,7 @@ from made import random_model
 
 from async_tnt import Processor, TNTConfig, load_model
 from async_tnt.cli import bench
+from async_tnt.kernels.shipped import state_of_kernels
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 CONFIGS = {
@@ -135,10 +136,11 @@ def test_figures_stand_in_their_rows(monkeypatch, program):
     monkeypatch.setattr(bench, "_decision_us", lambda *given: [n * given[2] for n in values])
     monkeypatch.setattr(bench, "_decisions_a_second", lambda *_: [7.0 * n for n in values])
     report = json.loads(program("bench", "--json")[1])
+    assert report["kernels"] == state_of_kernels()
     assert report["ns_an_event"] == {"median": 3, "q1": 2, "q3": 4, "n": 5}
     assert report["us_a_decision"]["100"] == {"median": 300, "q1": 200, "q3": 400, "n": 5}
     assert report["decisions_a_second"] == {"median": 21, "q1": 14, "q3": 28, "n": 5}
-    rows = [" ".join(line.split()) for line in program("bench")[1].splitlines()[2:]]
+    rows = [" ".join(line.split()) for line in program("bench")[1].splitlines()[3:]]
     assert rows == [
         "median quartiles",
         "ns an event into the volume 3.0 2.0 to 4.0",

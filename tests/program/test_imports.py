@@ -111,7 +111,7 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     Neither the package's nor the user's folder can be written here.
     """
     (tmp_path / "file").write_text("so that no folder can be made here")
-    code = f"from async_tnt.streaming import entry_points\n{STORE_ONE}"
+    code = f"from async_tnt.kernels import entry_points\n{STORE_ONE}"
     assert (
         python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
     )

@@ -30,6 +30,7 @@ FOUND_BY = {
 USERS = {
     "every_events": {
         "checking/equality.py": "checks streams with every trigger",
+        "streaming/compile_ahead.py": "makes streams with every kind of trigger",
         "cli/bench.py": "measures a decision after every event",
         "sources/queues/keep_up.py": "makes decisions rarer",
     },
