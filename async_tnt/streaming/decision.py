@@ -11,7 +11,8 @@ import numpy as np
 Trigger = Literal["window", "every_us", "every_events", "confidence", "fire", "end"]
 
 
-@dataclass(frozen=True, slots=True)
+# Not frozen: that would make it take three times as long to create.
+@dataclass(slots=True, unsafe_hash=True)
 class Object:
     """An object that a map model has found in a window."""
 
