@@ -47,6 +47,22 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     assert all(d["n_skipped"] == 0 if keeps_up else "n_skipped" not in d for d in got)
 
 
+def test_a_stream_after_a_recording_has_windows_and_counts_of_its_own(program):
+    """The recording's window would have gone on for some events of the stream."""
+    recording = sample_recordings()[3]
+    with sent(EVENTS) as port:
+        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        code, out, err = program("run", recording, url, "--json")
+    processor = Processor(load_model("digits"))
+    expected = processor.push(EVENTS) + processor.finish()
+    got = [json.loads(line) for line in out.splitlines()]
+    assert code == 0 and got[0]["recording"] == str(recording)
+    assert [(d["window_start_us"], d["events"]) for d in got if d["recording"] == url] == [
+        (d.window_start_us, d.events) for d in expected
+    ]
+    assert f"; {processor.counts.kept:,} kept, " in err
+
+
 @pytest.mark.parametrize("command", ["run", "record --class a --sensor 34x34 --out gestures"])
 @pytest.mark.parametrize("address", ["127.0.0.1", "[::1]"])
 def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_path, monkeypatch):
