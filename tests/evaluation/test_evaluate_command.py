@@ -9,7 +9,7 @@ from training.gestures import bar, write, write_set
 
 from async_tnt import Processor, TNTConfig
 from async_tnt.evaluation.scores import score_recordings
-from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.recording import READERS, open_recording
 
 CLASSES = ("flat", "slanted", "upright")
 
@@ -335,6 +335,18 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     ):
         assert any(name in line and why in line for line in report["skipped"]), report["skipped"]
     assert program("evaluate", saved, folder, "--strict")[0] == 2
+
+
+def test_a_recording_that_is_too_large_for_the_memory_is_skipped(
+    saved, tmp_path, program, monkeypatch
+):
+    """It takes more memory than any machine addresses."""
+    monkeypatch.setitem(READERS, ".huge", lambda path, options: np.empty(1 << 57))
+    folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
+    (folder / "flat" / "a.huge").touch()
+    code, printed, err = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(printed)["recordings"] == 2
+    assert err.count("\n") == 1 and "skipped: flat/a.huge: Unable to allocate 1.00 EiB" in err
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
 from evaluation.simple_work import (
+    end_itself,
     note_limits,
     raise_odd,
     sent_within_limit,
@@ -49,6 +50,12 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
     assert "its worker ended: killed, out of memory" in errors["poison"]
     if "processes" in request.node.name:  # Dask repeats tasks of a worker that has ended
         assert sorted((tmp_path / "set" / "begun").read_text().split()) == sorted(names)
+
+
+@posix
+def test_each_task_after_a_lost_worker_gets_a_new_one():
+    """No worker is left idle that could take the next task."""
+    assert sorted(run_all(end_itself, range(4), 2, lost=twice)) == [0, 2, 4, 6]
 
 
 def test_what_cannot_be_pickled_is_an_error():
