@@ -266,6 +266,7 @@ ONE = [
     ((5, 0, 0, 2), ValueError, f"{RULES['p']}, got 2 at event 0"),
     ((5, 0, 0, -2), ValueError, f"{RULES['p']}, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
+    ((5, 0, 0, None), TypeError, "`p` must be whole numbers, got object (NoneType at event 0)"),
 ]
 
 
