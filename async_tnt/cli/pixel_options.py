@@ -86,7 +86,7 @@ def sensor_to_read(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
     if not paths or isinstance(paths[0], str):  # a camera or the network
         return None
     # what is wrong with the recording is told when it is read
-    with contextlib.suppress(OSError, ValueError, ImportError):
+    with contextlib.suppress(OSError, ValueError, ImportError, MemoryError):
         return open_recording(paths[0], **reading_of(args)).sensor
     return None
 
