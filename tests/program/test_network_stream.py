@@ -12,7 +12,7 @@ from waiting import PATIENCE_S
 from async_tnt import Processor, load_model
 from async_tnt.cli.packets import find_sources
 from async_tnt.sources import Pixels, UdpSource, open_source
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.sources.queues.keep_up import KeepUp
 
@@ -144,6 +144,20 @@ def test_of_sources_that_cannot_be_opened_the_last_is_the_error_and_the_others_a
     find_sources([sample_recordings()[7], tmp_path / "b.npy"], pixels)
     UdpSource(port=port).close()
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("error", [ValueError, OSError, ImportError, MemoryError])
+def test_the_search_for_a_source_goes_on_after_any_error(error, tmp_path, monkeypatch):
+    def read(path, options):
+        raise error("no such luck")
+
+    monkeypatch.setitem(READERS, ".own", read)
+    own = tmp_path / "a.own"
+    own.touch()
+    pixels = ModelPixels(Pixels(), (34, 34))
+    find_sources([own, sample_recordings()[7]], pixels)
+    with pytest.raises(error, match="no such luck"):
+        find_sources([own], pixels)
 
 
 @pytest.mark.parametrize("keep_up", [(), ("--keep-up", 60_000)])
