@@ -335,6 +335,9 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     ):
         assert any(name in line and why in line for line in report["skipped"]), report["skipped"]
     assert program("evaluate", saved, folder, "--strict")[0] == 2
+    for name in ("torn.npz", "silent.npz", "wide.npz", "end.csv"):
+        (folder / "flat" / name).unlink()
+    assert program("evaluate", saved, folder, "--strict")[0] == 0
 
 
 def needs_more_memory_than_any_machine_addresses():

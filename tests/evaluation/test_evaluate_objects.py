@@ -21,6 +21,7 @@ from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
 from async_tnt.evaluation.object_scores import score_objects, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, read_table
 from async_tnt.kernels.decisions.objects import FOUND_SIZE, X, Y
+from async_tnt.sources import READERS
 from async_tnt.volume.events import EVENT_DTYPE
 
 CONFIG = TNTConfig(
@@ -204,6 +205,32 @@ def test_what_is_wrong_is_said(folder, saved, program):
     write_points(folder / "b_objects.csv")
     assert "the file does not state its sensor; give it with --sensor WxH" in error("--strict")
     assert program("evaluate", saved, folder, "--sensor", "64x40", "--strict")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(5, "Input/output error"), ValueError("torn at byte 9")], ids=repr
+)
+def test_a_recording_that_cannot_be_read_is_skipped(error, folder, saved, program, monkeypatch):
+    def read(path, options):
+        raise error
+
+    monkeypatch.setitem(READERS, ".own", read)
+    (folder / "b.own").touch()
+    for name in ("a_td", "b"):
+        write_points(folder / f"{name}_objects.csv")
+    code, out, err = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(out)["recordings"] == 1
+    assert err.count("\n") == 1 and str(error) in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["--roi 0,0,9,9", "--crop", "--mask m.npy", "--out a.jsonl", "--workers 2", "--dask tcp://a:1"],
+)
+def test_options_of_classes_are_refused(words, folder, saved, program):
+    write_points(folder / "a_td_objects.csv")
+    code, _, err = program("evaluate", saved, folder, *words.split())
+    assert code == 2 and f"{words.split()[0]} cannot be used with it" in err
 
 
 @pytest.mark.parametrize(
