@@ -1,6 +1,7 @@
 """async-tnt info: recordings, folders and models, for people and for programs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,19 @@ def test_a_model_says_what_it_decides_and_costs(program, name):
     report = json.loads(program("info", name, "--json")[1])
     assert report["record"] == json.loads(json.dumps(model.record))
     assert report["volume"] == list(model.config.shape)
+
+
+def test_a_models_record_is_shown_without_its_tables(program, tmp_path):
+    record = {"made": "by hand", "epochs": 3, "accuracy": 0.5, "history": [1, 2], "of": {"a": 1}}
+    model = replace(random_model(), record=record)
+    _, text, _ = program("info", model.save(tmp_path / "m.safetensors"))
+    shown = text.splitlines()[-4:]
+    assert shown == [
+        "  made       by hand",
+        "  epochs     3",
+        "  accuracy   0.5",
+        "  all of its training record: --json",
+    ]
 
 
 def test_one_that_cannot_be_read_does_not_keep_the_others_back(program):
