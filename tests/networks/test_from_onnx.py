@@ -498,6 +498,7 @@ def test_the_program_runs_a_network_with_its_configuration(tmp_path, config_file
         ("{", 'net.json: expected a JSON object with "config", and maybe "classes": '),
         ("{}", 'expected a JSON object with "config", and maybe "classes": no \'config\''),
         ('{"config": {"bin": 5}}', "unknown configuration bin; known: "),
+        ('{"config": {"bins": "5"}}', "net.json: expected a JSON object"),
     ],
 )
 def test_a_damaged_configuration_is_one_line(tmp_path, config_file, program, content, message):
