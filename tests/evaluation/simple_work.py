@@ -58,6 +58,11 @@ def raise_odd(number):
     raise OddError(number, 0)
 
 
+def answer_with(content):
+    """Send these bytes from now on in place of each answer, as a process may that is crashing."""
+    Connection.send_bytes = lambda pipe, answer: os.write(pipe.fileno(), content)
+
+
 def end_itself(number):
     """As if the system had killed this process."""
     os.kill(os.getpid(), signal.SIGKILL)

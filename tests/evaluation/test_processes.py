@@ -6,12 +6,14 @@ Each task is done once, lost workers are replaced, and workers end with the prog
 import contextlib
 import os
 import socket
+import struct
 import time
 from pathlib import Path
 
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
 from evaluation.simple_work import (
+    answer_with,
     end_itself,
     note_limits,
     raise_odd,
@@ -113,6 +115,20 @@ def test_a_call_over_its_limit_ends_the_worker():
         worker.result(0.1)
     worker.end()
     assert not worker.is_running
+
+
+@posix
+@pytest.mark.parametrize(
+    "content",
+    [struct.pack("!i", 9) + b"no pickle", struct.pack("!iQ", -1, 1 << 40)],
+    ids=["no pickle", "a terabyte"],
+)
+def test_what_a_crashing_worker_sends_is_no_answer(content):
+    worker = Worker()
+    worker.submit(answer_with, content)
+    with pytest.raises(WorkerEnded):
+        worker.result()
+    worker.end()
 
 
 def test_the_limit_of_a_call_does_not_run_while_its_answer_is_sent():
