@@ -14,6 +14,7 @@ from damage import damaged_json
 from small_sets import write_pictures
 
 from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.simulation.pictures import read_picture
 from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training import plan, settings, simulated_pictures
 from async_tnt.training.data import dataset_data
@@ -21,6 +22,7 @@ from async_tnt.training.recordings import RecordingsWriter
 from async_tnt.training.settings import default_config, settings_for
 from async_tnt.training.simulated_pictures import (
     LabelledPicture,
+    example_recordings,
     find_pictures,
     measure_camera,
     simulate_pictures,
@@ -267,6 +269,20 @@ def test_pictures_are_found_by_suffixes_in_any_case_and_hidden_files_are_not(tmp
     }
 
 
+def test_the_example_of_a_class_is_its_first_picture_that_can_be_read(tmp_path):
+    """One is damaged, and one is gone since it was found."""
+    folder = write_pictures(tmp_path / "p")
+    found = {name: paths[:3] for name, paths in find_pictures(folder).items()}
+    first, second, third = found["bar"]
+    first.write_bytes(b"no picture")
+    second.unlink()
+    shown = example_recordings(found, SceneSettings(SENSOR, 100_000), seed=0)
+    assert [name for name, *_ in shown] == list(found)
+    examples = {name: light for name, light, _ in shown}
+    assert np.array_equal(examples["bar"], read_picture(third).light)
+    assert np.array_equal(examples["disc"], read_picture(found["disc"][0]).light)
+
+
 def test_a_camera_of_another_sensor_is_not_measured(tmp_path):
     t = np.arange(0, 300_000, 100)
     np.savez(tmp_path / "a.npz", t=t, x=t % 5, y=t % 7, p=t % 2, sensor=(25, 20))
@@ -338,6 +354,9 @@ def test_a_camera_is_measured(tmp_path):
     y = rng.integers(0, 20, len(t))
     np.savez(tmp_path / "a.npz", t=t, x=x, y=y, p=rng.random(len(t)) < 2 / 3)
     camera = measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
+    with np.load(tmp_path / "a.npz") as columns:  # it may state its sensor
+        np.savez(tmp_path / "stated.npz", sensor=SENSOR, **columns)
+    assert measure_camera(tmp_path / "stated.npz", 100_000, SENSOR) == camera
     assert camera.step_on / camera.step_off == pytest.approx(0.5, rel=0.05)
     # noise alone, before and after an hour
     t = np.concatenate(
