@@ -258,10 +258,11 @@ def test_a_sensor_that_takes_longer_takes_fewer(sensor, follow, n_takes, tmp_pat
         assert takes == len(writer.finish()) == n_takes
 
 
-def test_pictures_are_found_by_suffixes_in_any_case_and_hidden_files_are_not(tmp_path):
+def test_pictures_are_found_by_suffixes_in_any_case_but_no_hidden_files_or_folders(tmp_path):
     folder = write_pictures(tmp_path / "p", n=1)
     (folder / "bar" / "bar00.png").rename(folder / "bar" / "IMG.PNG")
     (folder / "bar" / ".thumb.png").write_bytes(b"")
+    (folder / "bar" / "old.png").mkdir()
     found = find_pictures(folder)
     assert {name: [path.name for path in some] for name, some in found.items()} == {
         "bar": ["IMG.PNG"],
