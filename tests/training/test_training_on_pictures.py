@@ -270,6 +270,15 @@ def test_pictures_are_found_by_suffixes_in_any_case_but_no_hidden_files_or_folde
     }
 
 
+def test_pictures_of_all_usual_formats_are_found(tmp_path):
+    suffixes = ["bmp", "gif", "jpeg", "jpg", "pgm", "png", "ppm", "tif", "tiff", "webp"]
+    (tmp_path / "bar").mkdir()
+    for suffix in suffixes:
+        (tmp_path / "bar" / f"a.{suffix}").touch()
+    (found,) = find_pictures(tmp_path).values()
+    assert [path.name for path in found] == [f"a.{suffix}" for suffix in suffixes]
+
+
 def test_the_example_of_a_class_is_its_first_picture_that_can_be_read(tmp_path):
     """One is damaged, and one is gone since it was found."""
     folder = write_pictures(tmp_path / "p")
