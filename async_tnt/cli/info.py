@@ -72,10 +72,11 @@ def main(args: argparse.Namespace) -> int:
             report, lines = _described(
                 name, {"sensor": args.sensor, **reading_of(args)}, args.written
             )
-        except (OSError, ValueError, ImportError) as error:
+        except (OSError, ValueError, ImportError, MemoryError) as error:
             if len(args.what) == 1:
                 raise
-            complain(error, args.written)
+            message = message_of(error, args.written)
+            complain(message if name in message else f"{name}: {message}")
             failed = True
             continue
         failed |= any("error" in found for found in report.get("recordings", ()))

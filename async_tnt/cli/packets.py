@@ -53,8 +53,8 @@ def find_sources(
 
     Raises
     ------
-    ValueError, OSError, ImportError : no source can be opened. The error is that of the last
-        source; the errors of the others are printed.
+    ValueError, OSError, ImportError, MemoryError : no source can be opened. The error is that of
+        the last source; the errors of the others are printed.
     """
     problems: list[Exception] = []
     for path in paths:
@@ -64,7 +64,7 @@ def find_sources(
             else:
                 with contextlib.closing(open_source(path, pixels.expected)) as source:
                     pixels.filter_of(path, source.sensor)
-        except (OSError, ValueError, ImportError) as error:
+        except (OSError, ValueError, ImportError, MemoryError) as error:
             problems.append(error)
         else:
             return

@@ -86,7 +86,7 @@ def sensor_to_read(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
     if not paths or isinstance(paths[0], str):  # a camera or the network
         return None
     # an error of the recording is reported later, when its events are read
-    with contextlib.suppress(OSError, ValueError, ImportError):
+    with contextlib.suppress(OSError, ValueError, ImportError, MemoryError):
         return open_recording(paths[0], **reading_of(args)).sensor
     return None
 

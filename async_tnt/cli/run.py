@@ -125,7 +125,7 @@ def main(args: argparse.Namespace) -> int:
                 _run_recording(run, path, map(select, recording))
         except BrokenPipeError:
             raise
-        except (OSError, ValueError, ImportError) as error:
+        except (OSError, ValueError, ImportError, MemoryError) as error:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
                 # our output does not fit on its disk, so the error is not about this recording
                 raise
@@ -145,8 +145,8 @@ def _prepared(args: argparse.Namespace) -> _Run:
 
     Raises
     ------
-    ValueError, OSError, ImportError : the model cannot be read, or does not suit the options; no
-        source can be opened.
+    ValueError, OSError, ImportError, MemoryError : the model cannot be read, or does not suit the
+        options; no source can be opened.
     """
     selection = pixels_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)

@@ -67,7 +67,7 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     every_us = settings.every_us
     every_events = settings.every_events
 
-    if window_events is None and every_us is not None and every_us > window_us:
+    if every_us is not None and every_us > window_us:
         name = "every_us"
         what = f"= {every_us} is longer than a window, {window_us} us"
     elif window_events is not None and every_events is not None and every_events > window_events:

@@ -2,6 +2,7 @@
 
 import faulthandler
 import os
+import signal
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -55,6 +56,16 @@ class OddError(Exception):
 
 def raise_odd(number):
     raise OddError(number, 0)
+
+
+def answer_with(content):
+    """Send these bytes from now on in place of each answer, as a process may that is crashing."""
+    Connection.send_bytes = lambda pipe, answer: os.write(pipe.fileno(), content)
+
+
+def end_itself(number):
+    """As if the system had killed this process."""
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def sleep_in(folder):

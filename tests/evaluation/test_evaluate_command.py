@@ -9,7 +9,7 @@ from training.gestures import bar, write, write_set
 
 from async_tnt import Processor, TNTConfig
 from async_tnt.evaluation.scores import score_recordings
-from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.recording import READERS, open_recording
 
 CLASSES = ("flat", "slanted", "upright")
 
@@ -335,6 +335,42 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     ):
         assert any(name in line and why in line for line in report["skipped"]), report["skipped"]
     assert program("evaluate", saved, folder, "--strict")[0] == 2
+    for name in ("torn.npz", "silent.npz", "wide.npz", "end.csv"):
+        (folder / "flat" / name).unlink()
+    assert program("evaluate", saved, folder, "--strict")[0] == 0
+
+
+def needs_more_memory_than_any_machine_addresses():
+    np.empty(1 << 57)
+
+
+def fails_by(error):
+    def fails():
+        raise error
+
+    return fails
+
+
+@pytest.mark.parametrize(
+    ("read", "message"),
+    [
+        (needs_more_memory_than_any_machine_addresses, "Unable to allocate 1.00 EiB"),
+        (fails_by(MemoryError()), "MemoryError"),
+        (fails_by(ValueError("torn at byte 9")), "torn at byte 9"),
+        (fails_by(TypeError("`t` must be whole numbers")), "`t` must be whole numbers"),
+        (fails_by(OSError(5, "Input/output error", "/disk/a.own")), "Input/output error"),
+        (fails_by(OSError("the disk is gone")), "the disk is gone"),
+    ],
+)
+def test_a_recording_of_a_format_of_ones_own_is_skipped_whatever_its_reader_raises(
+    read, message, saved, tmp_path, program, monkeypatch
+):
+    monkeypatch.setitem(READERS, ".own", lambda path, options: read())
+    folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
+    (folder / "flat" / "a.own").touch()
+    code, printed, err = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(printed)["recordings"] == 2
+    assert err.count("\n") == 1 and f"skipped: flat/a.own: {message}" in err
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ The tests have counts by hand, tables in both forms, and what is refused.
 """
 
 import json
+import re
 import tracemalloc
 import weakref
 
@@ -20,6 +21,7 @@ from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
 from async_tnt.evaluation.object_scores import score_objects, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, read_table
 from async_tnt.kernels.decisions.objects import FOUND_SIZE, X, Y
+from async_tnt.sources import READERS
 from async_tnt.volume.events import EVENT_DTYPE
 
 CONFIG = TNTConfig(
@@ -206,6 +208,32 @@ def test_what_is_wrong_is_said(folder, saved, program):
 
 
 @pytest.mark.parametrize(
+    "error", [OSError(5, "Input/output error"), ValueError("torn at byte 9")], ids=repr
+)
+def test_a_recording_that_cannot_be_read_is_skipped(error, folder, saved, program, monkeypatch):
+    def read(path, options):
+        raise error
+
+    monkeypatch.setitem(READERS, ".own", read)
+    (folder / "b.own").touch()
+    for name in ("a_td", "b"):
+        write_points(folder / f"{name}_objects.csv")
+    code, out, err = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(out)["recordings"] == 1
+    assert err.count("\n") == 1 and str(error) in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["--roi 0,0,9,9", "--crop", "--mask m.npy", "--out a.jsonl", "--workers 2", "--dask tcp://a:1"],
+)
+def test_options_of_classes_are_refused(words, folder, saved, program):
+    write_points(folder / "a_td_objects.csv")
+    code, _, err = program("evaluate", saved, folder, *words.split())
+    assert code == 2 and f"{words.split()[0]} cannot be used with it" in err
+
+
+@pytest.mark.parametrize(
     "damage", [slice(0, 4), slice(10, 11)], ids=["another format", "no literal"]
 )
 def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
@@ -215,6 +243,45 @@ def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
     content[damage] = b"PK\x03\x04" if damage.start == 0 else b"\0"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"a_bbox.npy: not a readable NumPy file: [^\n]*$"):
+        read_table(path, ("on", "off"))
+
+
+def test_boxes_may_have_any_numbers(tmp_path):
+    """Whole pixels, as labelled by hand, and fractions."""
+    wide = [(name, {"f4": "i2"}.get(kind, kind)) for name, kind in BOXES]
+    numbers = [(t, x - 4, y - 3, 8, 6, 0) for t, _, x, y in TRUTH]
+    tables = []
+    for fields in (BOXES, wide):
+        np.save(tmp_path / "a_bbox.npy", np.array(numbers, fields))
+        tables.append(read_table(tmp_path / "a_bbox.npy", ("on", "off")))
+    assert tables[0].middle.tolist() == tables[1].middle.tolist()
+    assert tables[0].middle[-1].tolist() == [20, 10]
+
+
+@pytest.mark.parametrize(
+    ("boxes", "why"),
+    [
+        (np.zeros((3, 6)), "only integers, slices"),
+        (np.zeros(3, BOXES[:-1]), "no field of name class_id"),
+        (np.zeros(3, [*BOXES[:1], ("x", "U3"), *BOXES[2:]]), "x must be a number, got <U3"),
+        (np.zeros((3, 2), BOXES), "t and class_id must be whole numbers, got int64 in"),
+    ],
+    ids=["plain array", "no class", "text", "two dimensions"],
+)
+def test_what_is_no_list_of_boxes_is_named(tmp_path, boxes, why):
+    np.save(tmp_path / "a_bbox.npy", boxes)
+    expected = f"a_bbox.npy: not a file of boxes with the fields t, x, y, w, h and class_id: {why}"
+    with pytest.raises(ValueError, match=re.escape(expected)):
+        read_table(tmp_path / "a_bbox.npy", ("on", "off"))
+
+
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe", b'"' + b"a" * 200_000], ids=["no UTF-8", "an endless cell"]
+)
+def test_what_is_no_table_of_values_is_named(tmp_path, content):
+    path = tmp_path / "a_objects.csv"
+    path.write_bytes(b"t,class,x,y\n" + content)
+    with pytest.raises(ValueError, match=r"a_objects.csv: not a table of comma-separated values: "):
         read_table(path, ("on", "off"))
 
 

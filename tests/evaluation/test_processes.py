@@ -6,12 +6,15 @@ Each task is done once, lost workers are replaced, and workers end with the prog
 import contextlib
 import os
 import socket
+import struct
 import time
 from pathlib import Path
 
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
 from evaluation.simple_work import (
+    answer_with,
+    end_itself,
     note_limits,
     raise_odd,
     sent_within_limit,
@@ -49,6 +52,12 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
     assert "its worker ended: killed, out of memory" in errors["poison"]
     if "processes" in request.node.name:  # Dask repeats tasks of a worker that has ended
         assert sorted((tmp_path / "set" / "begun").read_text().split()) == sorted(names)
+
+
+@posix
+def test_each_task_after_a_lost_worker_gets_a_new_one():
+    """No worker is left idle that could take the next task."""
+    assert sorted(run_all(end_itself, range(4), 2, lost=twice)) == [0, 2, 4, 6]
 
 
 def test_what_cannot_be_pickled_is_an_error():
@@ -106,6 +115,20 @@ def test_a_call_over_its_limit_ends_the_worker():
         worker.result(0.1)
     worker.end()
     assert not worker.is_running
+
+
+@posix
+@pytest.mark.parametrize(
+    "content",
+    [struct.pack("!i", 9) + b"no pickle", struct.pack("!iQ", -1, 1 << 40)],
+    ids=["no pickle", "a terabyte"],
+)
+def test_what_a_crashing_worker_sends_is_no_answer(content):
+    worker = Worker()
+    worker.submit(answer_with, content)
+    with pytest.raises(WorkerEnded):
+        worker.result()
+    worker.end()
 
 
 def test_the_limit_of_a_call_does_not_run_while_its_answer_is_sent():

@@ -120,6 +120,24 @@ REFUSED = [  # nodes, constants, message, opset
         "(Reshape): a reshape to [2, -1], not (n, -1), one",
         13,
     ),
+    (
+        [node("Reshape", "x to")],
+        {"to": np.int64([2, 60])},
+        "(Reshape): a reshape to [2, 60], not (n, -1), one",
+        13,
+    ),
+    (
+        [node("Reshape", "x to", allowzero=1)],
+        {"to": np.int64([0, -1])},
+        "(Reshape): a reshape to [0, -1], not (n, -1), one",
+        14,
+    ),
+    (
+        [node("Add", "x two", "s"), node("Log", "s")],
+        {"two": np.float32(2)},
+        "(Log): a logarithm of other than x + 1 has no compiled form",
+        13,
+    ),
     ([node("Flatten")], {}, "the network must be of opset 7 or later, got [6]", 6),
 ]
 
@@ -264,6 +282,14 @@ TWICE = [
     node("Gemm", "g q", "h", transB=1),
     node("MatMul", "h w"),
 ]
+ROWS = {
+    "given,rest": np.int64([0, -1]),
+    "one,rest": np.int64([1, -1]),
+    "given,all": np.int64([0, 60]),
+    "one,all": np.int64([1, 60]),
+    "rest,all": np.int64([-1, 60]),
+}
+"""Shapes of one row for each volume, by their names."""
 ACCEPTED = {
     "a sum below a logarithm that is read by another node, too": (
         [*SUM, node("Flatten", "a", "f"), LINEAR[1]],
@@ -271,6 +297,9 @@ ACCEPTED = {
     ),
     "one constant as two matrices": (TWICE, 1),
     "a batch of two": (LINEAR, 2),
+    **{
+        f"a reshape to {name}": ([node("Reshape", f"x {name}", "f"), LINEAR[1]], 1) for name in ROWS
+    },
     "a leaky ReLU without its slope": (
         [node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]],
         1,
@@ -284,6 +313,7 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
         "one": np.float32(1),
         "w": np.eye(60, 3, dtype=np.float32),
         "q": np.tri(60, dtype=np.float32) / 60,
+        **ROWS,
     }
     path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))
     # `load_model` also compares the network with onnxruntime.
@@ -468,6 +498,7 @@ def test_the_program_runs_a_network_with_its_configuration(tmp_path, config_file
         ("{", 'net.json: expected a JSON object with "config", and maybe "classes": '),
         ("{}", 'expected a JSON object with "config", and maybe "classes": no \'config\''),
         ('{"config": {"bin": 5}}', "unknown configuration bin; known: "),
+        ('{"config": {"bins": "5"}}', "net.json: expected a JSON object"),
     ],
 )
 def test_a_damaged_configuration_is_one_line(tmp_path, config_file, program, content, message):

@@ -115,6 +115,8 @@ def test_modes_and_changes_in_place_are_read_as_they_are(module):
         nn.AdaptiveAvgPool2d((None, 3)),
         nn.AdaptiveAvgPool2d((7, None)),
         nn.AvgPool2d((3, 2)),
+        nn.AvgPool2d(3, ceil_mode=True),
+        nn.AvgPool2d(3, padding=1, ceil_mode=True, count_include_pad=False),
         nn.MaxPool2d(3, ceil_mode=True),
         nn.Hardtanh(-0.1, 0.2),
     ],

@@ -170,6 +170,16 @@ def test_a_file_holds_float32(tmp_path):
         load_model(path)
 
 
+@pytest.mark.parametrize(
+    ("sha256", "message"),
+    [(None, "no sha256 in its metadata"), ("0" * 64, "its checksum differs; copy or download")],
+)
+def test_a_missing_checksum_is_told_from_a_wrong_one(sha256, message, tmp_path):
+    path = write_file(tmp_path / "m", changed(), sha256=sha256)
+    with pytest.raises(ValueError, match=f"m holds a damaged model: {message}"):
+        load_model(path)
+
+
 def test_exactly_the_arrays_of_the_network(tmp_path):
     """The arrays of a landmark network are needed where the landmark needs one, and only there."""
     path = tmp_path / "m"

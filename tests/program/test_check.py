@@ -259,6 +259,22 @@ def test_a_landmark_network_of_any_layers_holds(read):
     assert [c for c in comparisons if not c.holds] == []
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"landmark": "line", "remove_flow": True, "t_max": 3.0, "polarity": "split", "bins": 2},
+        {"representation": "mean_time", "transform": "none", "polarity": "split", "bins": 1},
+    ],
+)
+def test_a_network_on_a_volume_of_any_settings_holds(settings):
+    """The reference makes the same volume of them. None of the values is a default."""
+    config = TNTConfig(sensor=(20, 16), grid=(12, 8), window_us=40_000, **settings)
+    assert all(getattr(TNTConfig(), name) != value for name, value in settings.items())
+    events = random_events(150, duration_us=90_000, sensor=(20, 16))
+    comparisons = check_recording(events, random_model(config), prefixes=2)
+    assert [c for c in comparisons if not c.holds] == []
+
+
 @pytest.mark.parametrize("start_us", [None, 5_000])
 def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
     """Windows last 20 ms, and numbers 0, 2 and 5 hold events.

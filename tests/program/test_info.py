@@ -1,6 +1,7 @@
 """async-tnt info: recordings, folders and models, for people and for programs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from made import events_of, random_events, random_model
 from async_tnt import TNTConfig
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.sources.files import worker_source
-from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.sources.files.recording import READERS, sample_recordings
 
 SAMPLE = sample_recordings()[3]
 
@@ -95,10 +96,51 @@ def test_a_model_says_what_it_decides_and_costs(program, name):
     assert report["volume"] == list(model.config.shape)
 
 
+def test_a_models_record_is_shown_without_its_tables(program, tmp_path):
+    record = {"made": "by hand", "epochs": 3, "accuracy": 0.5, "history": [1, 2], "of": {"a": 1}}
+    model = replace(random_model(), record=record)
+    _, text, _ = program("info", model.save(tmp_path / "m.safetensors"))
+    shown = text.splitlines()[-4:]
+    assert shown == [
+        "  made       by hand",
+        "  epochs     3",
+        "  accuracy   0.5",
+        "  all of its training record: --json",
+    ]
+
+
 def test_one_that_cannot_be_read_does_not_keep_the_others_back(program):
     code, text, err = program("info", "nothing.bin", SAMPLE, "digits")
     assert code == 2 and err.count("\n") == 1 and "nothing.bin" in err
     assert text.count("N-MNIST") == 1 and "137,738 weights" in text
+
+
+OTHER_ERRORS = {
+    ValueError("torn at byte 9"): "torn at byte 9",
+    OSError(5, "Input/output error"): "Input/output error",
+    ImportError("a library is missing"): "a library is missing",
+    MemoryError("Unable to allocate 1 EiB"): "not enough memory. Unable to allocate 1 EiB",
+}
+
+
+@pytest.mark.parametrize("error", OTHER_ERRORS, ids=lambda error: type(error).__name__)
+def test_whatever_a_reader_raises_is_told_of_its_file_alone(error, program, tmp_path, monkeypatch):
+    """Files that are named, and those of a folder."""
+
+    def read(path, options):
+        raise error
+
+    monkeypatch.setitem(READERS, ".own", read)
+    own = tmp_path / "a.own"
+    own.touch()
+    code, text, err = program("info", own, SAMPLE)
+    assert code == 2 and text.count("N-MNIST") == 1
+    assert err.startswith(f"async-tnt: {own}: ") and err.endswith(f"{OTHER_ERRORS[error]}\n")
+    assert err.count("\n") == 1
+    recording_of(tmp_path / "b.npz", random_events(10))
+    code, text, err = program("info", tmp_path)
+    assert (code, err) == (2, "") and "2 recordings, 10 events" in text
+    assert any("a.own" in line and OTHER_ERRORS[error] in line for line in text.splitlines())
 
 
 def recording_of(path, events, **more):

@@ -12,7 +12,7 @@ from waiting import PATIENCE_S
 from async_tnt import Processor, load_model
 from async_tnt.cli.packets import find_sources
 from async_tnt.sources import Pixels, UdpSource, open_source
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.sources.queues.keep_up import KeepUp
 
@@ -45,6 +45,22 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     keeps_up = "--keep-up" in options
     assert ("0 skipped to stay fresh" in err) == keeps_up
     assert all(d["n_skipped"] == 0 if keeps_up else "n_skipped" not in d for d in got)
+
+
+def test_a_stream_after_a_recording_has_windows_and_counts_of_its_own(program):
+    """The recording's window would have gone on for some events of the stream."""
+    recording = sample_recordings()[3]
+    with sent(EVENTS) as port:
+        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        code, out, err = program("run", recording, url, "--json")
+    processor = Processor(load_model("digits"))
+    expected = processor.push(EVENTS) + processor.finish()
+    got = [json.loads(line) for line in out.splitlines()]
+    assert code == 0 and got[0]["recording"] == str(recording)
+    assert [(d["window_start_us"], d["events"]) for d in got if d["recording"] == url] == [
+        (d.window_start_us, d.events) for d in expected
+    ]
+    assert f"; {processor.counts.kept:,} kept, " in err
 
 
 @pytest.mark.parametrize("command", ["run", "record --class a --sensor 34x34 --out gestures"])
@@ -128,6 +144,20 @@ def test_of_sources_that_cannot_be_opened_the_last_is_the_error_and_the_others_a
     find_sources([sample_recordings()[7], tmp_path / "b.npy"], pixels)
     UdpSource(port=port).close()
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("error", [ValueError, OSError, ImportError, MemoryError])
+def test_the_search_for_a_source_goes_on_after_any_error(error, tmp_path, monkeypatch):
+    def read(path, options):
+        raise error("no such luck")
+
+    monkeypatch.setitem(READERS, ".own", read)
+    own = tmp_path / "a.own"
+    own.touch()
+    pixels = ModelPixels(Pixels(), (34, 34))
+    find_sources([own, sample_recordings()[7]], pixels)
+    with pytest.raises(error, match="no such luck"):
+        find_sources([own], pixels)
 
 
 @pytest.mark.parametrize("keep_up", [(), ("--keep-up", 60_000)])

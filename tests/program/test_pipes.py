@@ -88,6 +88,20 @@ def test_pipes_and_devices_are_refused(pipe, link, tmp_path):
         (tmp_path / "zero.png").unlink()
 
 
+def test_a_folder_in_a_files_place_is_called_neither(tmp_path):
+    n = 0
+    for name, read in readers(tmp_path):
+        if name.startswith("a_"):  # a table beside a recording
+            continue
+        folder = tmp_path / f"{n}"
+        (folder / name).mkdir(parents=True)
+        with pytest.raises((OSError, ValueError)) as caught:
+            read(folder / name)
+        assert "a pipe or a device" not in str(caught.value)
+        n += 1
+    assert n > 30
+
+
 def test_training_leaves_a_link_to_a_pipe_out(pipe, tmp_path):
     folder = tmp_path / "set" / "disc"
     folder.mkdir(parents=True)

@@ -1,5 +1,6 @@
 """The progress bar: on a terminal only, and nothing is left of it."""
 
+import errno
 import io
 import os
 from types import SimpleNamespace
@@ -46,20 +47,35 @@ def test_nothing_is_left_on_the_line_after_an_error(clock, monkeypatch):
     assert screen(terminal.getvalue()) == "" and terminal.getvalue().endswith("\r")
 
 
-def test_it_is_silent_elsewhere_and_survives_a_lost_terminal(clock, monkeypatch):
-    clock.seconds = -10.0
+def test_it_is_silent_where_there_is_no_terminal(clock, monkeypatch):
     with open(os.devnull, "w") as closed:
         pass
     for stderr in (io.StringIO(), None, closed):
         monkeypatch.setattr("sys.stderr", stderr)
-        with progress(1, "checking") as bar:
+        with progress(2, "checking") as bar:
+            clock.seconds += 10
             bar.update()
         assert stderr in (None, closed) or stderr.getvalue() == ""
-    lost = Terminal()
-    with Bar(2, "checking", lost) as bar:
-        for clock.seconds in (0.0, 1.0):
+
+
+def closed_by_this_program(terminal):
+    terminal.close()
+
+
+def hung_up(terminal):
+    def fail():
+        raise OSError(errno.EIO, "Input/output error")
+
+    terminal.flush = fail
+
+
+@pytest.mark.parametrize("lose", [closed_by_this_program, hung_up])
+def test_the_work_goes_on_without_a_lost_terminal(lose, clock):
+    terminal = Terminal()
+    with Bar(2, "checking", terminal) as bar:
+        for clock.seconds in (10.0, 20.0):
             bar.update()
-            lost.close()
+            lose(terminal)
     assert bar.done == 2
 
 

@@ -120,11 +120,16 @@ def test_a_part_between_two_times_is_taken_alone(program, tmp_path, command):
     assert answer(program, command, whole, tmp_path, "--between-us", f"{START},{END}") == expected
 
 
-@pytest.mark.parametrize("text", ["5", "5,5", "6,5", "a,b", "1.5,2", "-1,5", "1,2,3", ","])
-def test_a_part_of_no_times_is_refused(program, text):
+@pytest.mark.parametrize(
+    "text",
+    ["5", "5,5", "6,5", "a,b", "a,5", "5,b", "1.5,2", "1,2.5", "-1,5", "1,2,3", ",", f"0,{9**99}"],
+)
+def test_a_part_of_no_times_is_refused(program, text, capsys):
     with pytest.raises(SystemExit) as stopped:
         program("info", sample_recordings()[3], f"--between-us={text}")
     assert stopped.value.code == 2
+    rule = "argument --between-us: must be START,END in whole microseconds, START before END"
+    assert rule in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("always::async_tnt.sources.files.source.DamagedRecording")

@@ -585,3 +585,15 @@ def test_nothing_is_drawn_into_a_file(pictures):
     now_s[0] += 1
     picture.show(at_pixels((2, 3)))
     assert terminal.getvalue() == ""
+
+
+def test_the_recording_goes_on_when_the_terminal_has_hung_up(pictures):
+    terminal, picture, now_s = pictures(80, 24)
+
+    def fail():
+        raise OSError(errno.EIO, "Input/output error")
+
+    terminal.flush = fail
+    for _ in range(2):
+        now_s[0] += 1
+        picture.show(at_pixels((2, 3)))

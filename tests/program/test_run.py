@@ -8,7 +8,7 @@ import pytest
 from made import random_events
 
 from async_tnt import Processor, load_model
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 
 SAMPLES = sample_recordings()
 
@@ -163,6 +163,16 @@ def test_the_next_recording_follows_one_whose_library_is_missing(tmp_path, progr
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     code, printed, err = program("run", tmp_path / "a.h5", SAMPLES[1])
     assert code == 2 and err.count("\n") == 1 and "h5py, which is missing" in err
+    assert "1.bin: 1 " in printed
+
+
+def test_the_next_recording_follows_one_that_is_too_large(tmp_path, program, monkeypatch):
+    """It takes more memory than any machine addresses."""
+    monkeypatch.setitem(READERS, ".huge", lambda path, options: np.empty(1 << 57))
+    (tmp_path / "a.huge").touch()
+    code, printed, err = program("run", tmp_path / "a.huge", SAMPLES[1])
+    assert code == 2 and err.count("\n") == 1
+    assert f"{tmp_path / 'a.huge'}: not enough memory. Unable to allocate 1.00 EiB" in err
     assert "1.bin: 1 " in printed
 
 

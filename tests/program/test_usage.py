@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from async_tnt.base.checks import ParameterTypeError
 from async_tnt.cli import main, run, train_options
 from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources.files.recording import sample_recordings
@@ -165,6 +166,25 @@ def test_memory_that_is_not_there_is_one_line(refused, monkeypatch):
     assert refused("run", SAMPLE).startswith(
         "async-tnt: not enough memory. Unable to allocate 1.00 EiB for an array"
     )
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(5, "Input/output error", "a.bin"), "a.bin: Input/output error"),
+        (ValueError("it has no events"), "it has no events"),
+        (ParameterTypeError("every_us", "must be a whole number", "'5'"), "--every-us must be"),
+        (ImportError("h5py is missing"), "h5py is missing"),
+        (MemoryError(), "not enough memory"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_an_error_that_a_user_can_mend_is_one_line(error, message, refused, monkeypatch):
+    def fail(args):
+        raise error
+
+    monkeypatch.setattr(run, "main", fail)
+    assert refused("run", SAMPLE, "--every-us", "5").startswith(f"async-tnt: {message}")
 
 
 def swapped(word):

@@ -74,10 +74,17 @@ def test_the_object_is_cut_out(tmp_path):
     assert cut.ground is None
 
 
-def test_deep_turned_and_large_pictures(tmp_path):
-    deep = read_picture(saved(tmp_path / "a.png", bar().astype(np.uint16) * 257))
-    usual = read_picture(saved(tmp_path / "b.png", bar()))
+@pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32])
+def test_a_deep_picture_has_the_shades_of_a_usual_one(tmp_path, dtype):
+    """Its largest value is white. Without that, all values above 255 would be white."""
+    shades = np.tile(np.linspace(0, 255, 24).astype(np.uint8), (20, 1))
+    usual = read_picture(saved(tmp_path / "a.png", shades))
+    deep = read_picture(saved(tmp_path / "b.tif", shades.astype(dtype) * dtype(257)))
+    assert usual.light.max() == 1 and usual.light.mean() < 0.5
     np.testing.assert_allclose(deep.light, usual.light, atol=0.01)
+
+
+def test_turned_and_large_pictures(tmp_path):
 
     exif = Image.Exif()
     exif[0x0112] = 6  # turned by a quarter

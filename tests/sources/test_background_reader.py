@@ -8,6 +8,7 @@ import collections
 import itertools
 import threading
 import weakref
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -220,10 +221,13 @@ async def asynchronous():
     [
         ({"max_packets": 0}, ValueError, "`max_packets` must be at least 1, got 0"),
         ({"source": 7}, TypeError, "`source` must be an iterable of packets, got int"),
-        (
-            {"source": "a.bin"},
-            TypeError,
-            r"`source` must yield events, got the path a.bin; open_recording\(path\)",
+        *(
+            (
+                {"source": path},
+                TypeError,
+                r"`source` must yield events, got the path a.bin; open_recording\(path\)",
+            )
+            for path in ("a.bin", Path("a.bin"))
         ),
         (
             {"source": asynchronous()},
@@ -290,6 +294,19 @@ def test_a_copy_has_the_type_of_its_packet():
         got = next(queue)
         assert type(got) is type(packet) and got.dtype == packet.dtype
         assert got.tolist() == packet.tolist() and not np.shares_memory(got, packet)
+
+
+@pytest.mark.parametrize("copy", [False, True])
+@pytest.mark.parametrize("wrong", ["t,x,y,p", ([1], [2], [3]), (1, 2, 3)])
+def test_what_is_no_packet_passes_to_whoever_refuses_it(wrong, copy):
+    """It counts no events."""
+    queue = PacketQueue(copy=copy)
+    for packet in (EQUAL[0], wrong, EQUAL[1]):
+        queue.put(packet)
+    queue.end()
+    first, same, last = queue
+    assert same is wrong and len(first) == len(last) == 250
+    assert queue.counters.handed_out == 500
 
 
 def test_latest_discards_the_oldest():

@@ -25,6 +25,7 @@ from async_tnt.sources.live.camera_drivers import (
     WAIT_S,
     DvDevice,
     dv_cameras,
+    failure,
     neuromorphic_cameras,
 )
 from async_tnt.sources.live.cameras import Camera
@@ -198,6 +199,34 @@ def test_settings_are_what_the_library_tells_when_the_camera_is_opened(library):
     else:
         assert settings["biases"].keys() >= {"diff_on", "diff_off", "refr"}
     json.dumps(settings, default=str)
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (("/a/b.hpp(88): dv::open()", "RuntimeError: no such device", "Stack:"), "no such device"),
+        (("/a/b.hpp(88): dv::open()", "dv::IOException: it is busy", "Stack:"), "it is busy"),
+        (("no such device", "Hint: is it plugged in?"), "no such device"),
+        (("LIBUSB_ERROR", "RuntimeError", ""), "LIBUSB_ERROR"),
+    ],
+)
+def test_the_sentence_of_a_librarys_error_is_told(lines, told):
+    """It is behind the name of the error, if that stands in a line below the first."""
+    assert failure(RuntimeError("\n".join(lines))) == told
+
+
+def test_dv_processing_is_asked_for_the_settings_that_change_events():
+    class Talkative(PlayedHandle):
+        """It has every setting, and others beside them."""
+
+        def __getattr__(self, name):
+            return lambda: name
+
+    assert DvDevice(lambda descriptor: Talkative(), None).settings.keys() == {
+        *("ContrastThresholdOn", "ContrastThresholdOff", "ReadoutFPS", "GlobalHold"),
+        *("BackgroundActivityFilter", "RefractoryPeriodFilter", "SkipFilter"),
+        *("CropAreaEvents", "CropArea", "FirmwareVersion", "LogicVersion"),
+    }
 
 
 class PlayedHandle:

@@ -282,6 +282,23 @@ def test_unplugged_after_the_packets_before(background, error):
 # -- counts, and invalid events --------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("counts", "told"),
+    [
+        ({}, "lost: unknown"),
+        ({"overflows": 0}, "gaps: 0"),
+        ({"dropped": 7}, "raw packets dropped: 7"),
+        ({"overflows": 2, "dropped": 1_000}, "gaps: 2, raw packets dropped: 1,000"),
+    ],
+)
+def test_a_loss_is_unknown_if_the_library_tells_none(counts, told):
+    device, camera = opened(made_events(3))
+    for name, number in counts.items():
+        setattr(device.counts, name, number)
+    next(iter(camera))
+    assert camera.summary() == f"1 packets, 1 events ({told})"
+
+
 def test_events_whose_time_jumps_are_left_out():
     """`Clock` states the rule; packets that hold nothing else do not come."""
     packets = [made_events(1, 1 << 63), made_events(HOUR_US), made_events(3)]

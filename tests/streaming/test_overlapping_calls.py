@@ -108,6 +108,20 @@ def test_a_classifier_that_calls_its_own_processor_is_refused(call):
     assert processor.push_one(5, 1, 1, 1) == [] and processor.fire().events == 1 and len(seen) == 2
 
 
+@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize(
+    "begin",
+    [lambda processor: processor.push(at([5])), lambda processor: processor.push_one(5, 1, 1, 1)],
+    ids=["push", "push_one"],
+)
+def test_a_decision_that_an_event_makes_due_is_in_the_middle_of_its_call(begin, call):
+    processor = Processor(CONFIG, classifier=lambda volume: call(processor), every_events=1)
+    with pytest.raises(RuntimeError, match=REFUSED.format("Processor")):
+        begin(processor)
+    processor.classifier = total_and_size
+    assert processor.fire().events == 1
+
+
 @pytest.mark.parametrize(
     "network",
     [

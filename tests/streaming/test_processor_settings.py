@@ -209,7 +209,11 @@ def test_a_model_may_be_given_by_its_name_or_path(tmp_path):
 
 @pytest.mark.parametrize(
     ("config", "name", "longest"),
-    [(CONFIG, "every_us", CONFIG.window_us), (BY_3, "every_events", 3)],
+    [
+        (CONFIG, "every_us", CONFIG.window_us),
+        (BY_3, "every_events", 3),
+        (BY_3.replace(window_us=500), "every_us", 500),  # the longest duration of its windows
+    ],
 )
 def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, longest):
     """A trigger that is never due is warned of when it is made or set.
@@ -229,10 +233,13 @@ def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, 
     with pytest.warns(UserWarning, match=message) as caught:
         setattr(processor, name, longest + 1)
     assert len(caught) == 1 and caught[0].filename == __file__
-    other = {"every_us": "every_events", "every_events": "every_us"}[name]
-    # The other setting concerns the other kind of windows, so there is no warning.
-    Processor(config, classifier=total_and_size, **{other: 10**9})
     copy.copy(processor).push(at([5]))
+
+
+def test_a_window_without_a_limit_is_long_enough_for_any_trigger():
+    """One by time has any number of events, and one by number takes up to an hour."""
+    Processor(CONFIG, classifier=total_and_size, every_events=10**9)
+    Processor(BY_3, classifier=total_and_size, every_us=10**9)
 
 
 def test_the_repr_of_a_decision_is_short():

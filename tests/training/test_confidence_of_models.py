@@ -10,6 +10,7 @@ from made import events_of
 torch = pytest.importorskip("torch")
 
 from async_tnt.networks.models.compiled import CompiledClassifier  # noqa: E402
+from async_tnt.networks.models.model import Model  # noqa: E402
 from async_tnt.streaming.processor import Processor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
@@ -137,6 +138,25 @@ def test_a_calibrated_model_decides_the_same(models):
         logits = np.array(CompiledClassifier(model)(volume))
         softer = np.array(CompiledClassifier(calibrated_model)(volume))
         np.testing.assert_allclose(softer, logits / 2.5, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("end", "expected"),
+    [
+        ([torch.nn.Conv2d(3, 2, 34)], 2.5),
+        ([torch.nn.Flatten(), torch.nn.Linear(3 * 34 * 34, 2)], 2.5),
+        ([torch.nn.Conv2d(3, 2, 5), torch.nn.AdaptiveAvgPool2d(1)], 1.0),
+    ],
+    ids=["convolution", "dense", "mean"],
+)
+def test_a_network_is_calibrated_if_it_ends_in_weights(end, expected):
+    """Any other stays as it is."""
+    model = Model.from_torch(torch.nn.Sequential(*end), CONFIG, CLASSES)
+    softer, temperature = calibrated(model, 2.5)
+    volume = np.random.default_rng(0).normal(size=CONFIG.shape).astype(np.float32)
+    logits, softer_logits = (np.array(CompiledClassifier(made)(volume)) for made in (model, softer))
+    assert temperature == expected
+    np.testing.assert_allclose(softer_logits, logits / temperature, rtol=1e-5, atol=1e-6)
 
 
 def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):

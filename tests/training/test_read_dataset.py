@@ -11,6 +11,7 @@ import pytest
 from made import events_of
 from training.gestures import bar, write, write_set
 
+from async_tnt.sources.files.recording import READERS
 from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
@@ -78,6 +79,22 @@ def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
     )
     for line, start in zip(dataset.left_out, expected, strict=True):
         assert line.startswith(start) and str(tmp_path) not in line  # a model may be given away
+    assert np.bincount(dataset.recordings.labels).tolist() == [4, 4]
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("torn at byte 9"), OSError("the disk is gone")], ids=repr
+)
+def test_a_recording_whose_reader_fails_is_left_out_by_name(error, tmp_path, monkeypatch):
+    def read(path, options):
+        raise error
+
+    monkeypatch.setitem(READERS, ".own", read)
+    folder = write_64(tmp_path / "set", {"upright": 4, "flat": 4})
+    (folder / "flat" / "a.own").touch()
+    dataset = read_dataset(folder)
+    (line,) = dataset.left_out
+    assert line.startswith("flat/a.own: ") and str(error) in line
     assert np.bincount(dataset.recordings.labels).tolist() == [4, 4]
 
 

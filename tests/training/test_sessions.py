@@ -263,6 +263,16 @@ def test_tables_that_cannot_be_read_are_named(tmp_path):
             find_recordings(tmp_path)
 
 
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe,1,2", b'"' + b"a" * 200_000], ids=["no UTF-8", "an endless cell"]
+)
+def test_a_table_that_is_no_text_of_values_is_named(content, tmp_path):
+    write_session(tmp_path, "a", ("flat",))
+    (tmp_path / "a_labels.csv").write_bytes(HEADER.encode() + content)
+    with pytest.raises(ValueError, match=r"a_labels\.csv: not a CSV file: "):
+        find_recordings(tmp_path)
+
+
 def test_times_that_the_file_does_not_have_are_answered_with_those_it_has(sessions):
     """Such times come from a table in another unit, or with another origin."""
     table = sessions / "user02_led_labels.csv"

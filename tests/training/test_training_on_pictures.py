@@ -14,6 +14,7 @@ from damage import damaged_json
 from small_sets import write_pictures
 
 from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.simulation.pictures import read_picture
 from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training import plan, settings, simulated_pictures
 from async_tnt.training.data import dataset_data
@@ -21,6 +22,7 @@ from async_tnt.training.recordings import RecordingsWriter
 from async_tnt.training.settings import default_config, settings_for
 from async_tnt.training.simulated_pictures import (
     LabelledPicture,
+    example_recordings,
     find_pictures,
     measure_camera,
     simulate_pictures,
@@ -256,15 +258,39 @@ def test_a_sensor_that_takes_longer_takes_fewer(sensor, follow, n_takes, tmp_pat
         assert takes == len(writer.finish()) == n_takes
 
 
-def test_pictures_are_found_by_suffixes_in_any_case_and_hidden_files_are_not(tmp_path):
+def test_pictures_are_found_by_suffixes_in_any_case_but_no_hidden_files_or_folders(tmp_path):
     folder = write_pictures(tmp_path / "p", n=1)
     (folder / "bar" / "bar00.png").rename(folder / "bar" / "IMG.PNG")
     (folder / "bar" / ".thumb.png").write_bytes(b"")
+    (folder / "bar" / "old.png").mkdir()
     found = find_pictures(folder)
     assert {name: [path.name for path in some] for name, some in found.items()} == {
         "bar": ["IMG.PNG"],
         "disc": ["disc00.png"],
     }
+
+
+def test_pictures_of_all_usual_formats_are_found(tmp_path):
+    suffixes = ["bmp", "gif", "jpeg", "jpg", "pgm", "png", "ppm", "tif", "tiff", "webp"]
+    (tmp_path / "bar").mkdir()
+    for suffix in suffixes:
+        (tmp_path / "bar" / f"a.{suffix}").touch()
+    (found,) = find_pictures(tmp_path).values()
+    assert [path.name for path in found] == [f"a.{suffix}" for suffix in suffixes]
+
+
+def test_the_example_of_a_class_is_its_first_picture_that_can_be_read(tmp_path):
+    """One is damaged, and one is gone since it was found."""
+    folder = write_pictures(tmp_path / "p")
+    found = {name: paths[:3] for name, paths in find_pictures(folder).items()}
+    first, second, third = found["bar"]
+    first.write_bytes(b"no picture")
+    second.unlink()
+    shown = example_recordings(found, SceneSettings(SENSOR, 100_000), seed=0)
+    assert [name for name, *_ in shown] == list(found)
+    examples = {name: light for name, light, _ in shown}
+    assert np.array_equal(examples["bar"], read_picture(third).light)
+    assert np.array_equal(examples["disc"], read_picture(found["disc"][0]).light)
 
 
 def test_a_camera_of_another_sensor_is_not_measured(tmp_path):
@@ -338,6 +364,9 @@ def test_a_camera_is_measured(tmp_path):
     y = rng.integers(0, 20, len(t))
     np.savez(tmp_path / "a.npz", t=t, x=x, y=y, p=rng.random(len(t)) < 2 / 3)
     camera = measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
+    with np.load(tmp_path / "a.npz") as columns:  # it may state its sensor
+        np.savez(tmp_path / "stated.npz", sensor=SENSOR, **columns)
+    assert measure_camera(tmp_path / "stated.npz", 100_000, SENSOR) == camera
     assert camera.step_on / camera.step_off == pytest.approx(0.5, rel=0.05)
     # noise alone, before and after an hour
     t = np.concatenate(

@@ -8,8 +8,8 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)"
 import torch
 from made import events_of
 
-from async_tnt import Model, TNTConfig
-from async_tnt.views.figure_objects import draw_window_objects
+from async_tnt import Model, Processor, TNTConfig
+from async_tnt.views.figure_objects import draw_objects, draw_window_objects
 from async_tnt.views.figure_style import OFF, ON
 from async_tnt.views.figure_subject import Subject
 
@@ -90,6 +90,15 @@ def test_panels_show_what_was_there_until_then(number):
     assert (title, on, off) == ("9 ms", [*begin, a, b, c], [a, b])
     assert sorted(objects) == [a, b]
     assert words == ["pair", sure] * 2
+
+
+def test_a_panel_has_no_events_of_earlier_windows():
+    """Its window began behind them, in the middle of the recording."""
+    events = two_windows(50)
+    processor = Processor(dot_finder(), start_us=50)
+    processor.push(events[events["t"] <= 50 + 9_000 + 2_000])
+    figure = draw_objects([processor.fire()], ["11 ms"], events, CONFIG.sensor, "a.npz")
+    assert panels(figure)[0][:4] == ("11 ms", [(6, 4)], [(6, 4)], [(6, 4)])
 
 
 def test_words_of_an_object_at_the_right_stand_left_of_it():

@@ -106,6 +106,12 @@ def test_options_reach_the_picture(plot):
     assert not [label for label in labels if label not in text]
 
 
+def test_a_dollar_in_a_files_name_is_no_formula(plot):
+    np.save("a^$b^$.npy", random_events(300))  # as a formula it would be an error
+    assert plot("a^$b^$.npy", "--sensor", "34x34", "--out", "a.svg")[0] == 0
+    assert "a^$b^$.npy" in text_of("a.svg")
+
+
 def test_a_models_flow_removal_goes_with_its_line(plot):
     random_model(TNTConfig(landmark="line", remove_flow=True, t_max=2.0)).save("m.safetensors")
     for landmark, words in (("line", "line, flow removed, t_max 2"), ("center", "center, t_max 2")):

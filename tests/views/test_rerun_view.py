@@ -199,6 +199,15 @@ def test_a_file_without_events_is_not_written(tmp_path):
     assert (tmp_path / "a.rrd").read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
 
 
+def test_a_view_may_be_closed_again(tmp_path):
+    """Whatever has become of its file."""
+    with RerunView(MODEL, out=tmp_path / "a.rrd") as view:
+        view.push(EVENTS)
+    (tmp_path / "a.rrd").unlink()
+    view.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_after_an_error_the_file_holds_what_came_before(tmp_path):
     def fails_later(volume):
         if not volume.any():

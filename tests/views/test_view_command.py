@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -322,13 +323,17 @@ def test_without_a_display_no_viewer_is_started(monkeypatch, program):
     assert err.startswith("async-tnt: no display to open the Rerun viewer on")
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of Linux")
-@pytest.mark.parametrize("display", ["DISPLAY", "WAYLAND_DISPLAY"])
-def test_on_either_display_a_viewer_is_started(display, monkeypatch, program):
-    """Here one that cannot be."""
+@pytest.mark.parametrize(
+    ("platform", "display"),
+    [("linux", "DISPLAY"), ("linux", "WAYLAND_DISPLAY"), ("darwin", None), ("win32", None)],
+)
+def test_where_there_is_a_display_a_viewer_is_started(platform, display, monkeypatch, program):
+    """Here one that cannot be. Linux alone names its displays."""
+    monkeypatch.setattr("async_tnt.views.rerun_view.sys", SimpleNamespace(platform=platform))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setenv(display, ":7")
+    if display is not None:
+        monkeypatch.setenv(display, ":7")
 
     def spawn(stream, **_):
         raise RuntimeError("no\nviewer")

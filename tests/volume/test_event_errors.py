@@ -244,6 +244,15 @@ def test_events_of_a_wrong_form(events, error, message):
     assert_refused(events, error, message)
 
 
+@pytest.mark.parametrize("numbers", [(5,), (5, 1, 2), (5, 1, 2, 1, 0)])
+def test_integers_that_are_no_event_are_refused_as_columns(numbers):
+    """Four of them are a single event."""
+    processor = Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2)))
+    assert processor.push((5, 1, 2, 1)) == []
+    with pytest.raises(ValueError, match=re.escape(f"{FOUR}{len(numbers)}")):
+        processor.push(numbers)
+
+
 # -- single events ---------------------------------------------------------------------------------
 
 ONE = [
@@ -257,6 +266,7 @@ ONE = [
     ((5, 0, 0, 2), ValueError, f"{RULES['p']}, got 2 at event 0"),
     ((5, 0, 0, -2), ValueError, f"{RULES['p']}, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
+    ((5, 0, 0, None), TypeError, "`p` must be whole numbers, got object (NoneType at event 0)"),
 ]
 
 

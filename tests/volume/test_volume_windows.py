@@ -213,6 +213,11 @@ def test_a_regressor_is_asked_once_after_new_events_whatever_is_read_and_how_oft
     [
         (None, ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got None"),
         (
+            (1.0, 2.0, 3.0),
+            ValueError,
+            "`regressor` must return two numbers (x, y) in grid pixels, got (1.0, 2.0, 3.0)",
+        ),
+        (
             np.zeros((2, 2)),
             ValueError,
             "`regressor` must return two numbers (x, y) in grid pixels, got array([[0.",
@@ -263,3 +268,23 @@ def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
     fails = True
     volume.reset()  # works without a landmark
     assert volume.n_events == 0 and not volume.array.any()
+
+
+@pytest.mark.parametrize("late", ["accept", "drop"])
+@pytest.mark.parametrize("landmark", ["running", "window", "regressor"])
+def test_after_a_reset_a_volume_is_as_it_was_made(landmark, late):
+    """The same events later again, some of them late, give the same volume and the same counts."""
+    config = CONFIG.replace(landmark=landmark)
+    regressor = brightest if landmark == "regressor" else None
+    events = random_events(90, duration_us=2900, start_us=100)
+    events["t"][7::10] -= 90
+    events["t"][65::10] -= 1900
+    volume = TNTVolume(config, late=late, regressor=regressor)
+    before = None
+    for _ in range(2):
+        assert volume.counts.received == 0 and not volume.is_open
+        volume.update(events)
+        after = volume.array.tobytes(), volume.landmark, volume.counts
+        assert volume.counts.dropped_late > 0 and before in (None, after)
+        before = after
+        volume.reset()

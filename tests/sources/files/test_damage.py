@@ -340,6 +340,7 @@ ROWS = b"\n".join(b"%d.5 1 2 1" % i if i != 150_000 else b"what" for i in range(
             "line 3: .* got '1,2,1,1234', and the file ends there",
             1,
         ),
+        ("a.csv", b"x,y,p,t\n1,2,1,7\nwhat\n", "line 3: .* got 'what'(?!, and)", 1),
     ],
 )
 def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, message, n_events):

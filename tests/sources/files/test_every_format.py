@@ -319,7 +319,8 @@ def test_a_part_between_two_times_is_half_open(tmp_path):
         (65_535, 65_537, [65_535, 65_536]),
         (200_000, 200_001, []),
     ):
-        assert open_recording(path, between_us=(start, end)).read()["t"].tolist() == times
+        for pair in ((start, end), [start, end], np.array([start, end])):
+            assert open_recording(path, between_us=pair).read()["t"].tolist() == times
 
 
 def test_the_first_and_the_last_time_are_those_of_all_blocks(tmp_path):

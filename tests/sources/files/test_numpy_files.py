@@ -86,6 +86,8 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(
             r"its array 'sensor' must be two integers .* in \[1, 65536\], got \[260",
         ),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
+        (np.zeros((5, 4)), "`t` must be integer microseconds, got float64"),
+        (EVENTS.astype([("t", "i8"), ("x", "U5"), ("y", "u2"), ("p", "u1")]), "`x` must be whole"),
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),
         (
             np.array([[5, 4, 100, 1], [4, 5, 200, 0]]),

@@ -230,6 +230,7 @@ def test_a_bag_without_events_is_refused_and_its_topics_are_listed(tmp_path, nam
             r"`time_base` must be below 2\*\*62 ns, got 4611",
         ),
         ({"sensor": (0, 240)}, "a sensor must have 1 to 65536 pixels a side, got 0 x 240"),
+        ({"sensor": (320, 0)}, "a sensor must have 1 to 65536 pixels a side, got 320 x 0"),
         ({"sensor": (640, 480)}, r"of \(640, 480\) pixels, but those before of \(320, 240\)"),
         ({"words": np.frombuffer(b"odd", "u1")}, "evt3 has words of two bytes, got 3 bytes"),
     ],
@@ -351,6 +352,23 @@ def test_a_message_of_another_definition_is_refused(tmp_path, name, n_more, is_r
 
 
 REAL = "test_events_1.bag", "test_events_1/test_events_1.db3", "test_events_2/test_events_2_0.mcap"
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
+@pytest.mark.parametrize("share", [0, 0.1, 0.5, 0.9])
+def test_a_message_that_is_cut_off_is_damage(tmp_path, name, share):
+    """In its header, its numbers, or its words."""
+    with Bag(tmp_path / name) as bag:
+        bag.packet(WORDS, SENSOR)
+        (connection,) = bag._connections.values()
+        fields = bag.header(), 240, 320, 0, 0, "evt3", False, np.zeros(90, np.uint8)
+        message = bag.types.types[EVENT_PACKET](*fields)
+        serialize = bag.types.serialize_ros1 if bag.is_ros_1 else bag.types.serialize_cdr
+        data = bytes(serialize(message, EVENT_PACKET))
+        bag._writer.write(connection, 10**18 * 2, data[: int(share * len(data))])
+    recording = open_recording(tmp_path / name)
+    with pytest.warns(DamagedRecording, match="after message 1: .*message 1: "):
+        assert recording.read().tolist() == IN_TIME
 
 
 @pytest.fixture(scope="session")
