@@ -25,12 +25,12 @@ from async_tnt.views.figure_style import (
     polarity_legend,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_subject import Subject, Window, evenly_spread
 from async_tnt.views.figure_window import (
     GAP,
     MOST_DOTS,
     ROW_GAP,
-    bin_ms,
+    bin_time,
     draw_rows,
     layers_of_window,
     transform_words,
@@ -86,7 +86,7 @@ def draw_motions(first: Window, second: Window) -> Figure:
         if window is second:
             raw.set_xlabel("time in the window (ms)")
             tnt.set_xlabel("time in the window (ms)")
-        titles = [bin_ms(config, k) for k in shown]
+        titles = [bin_time(config, k) for k in shown]
         draw_rows(figure, rows, shown, titles, (5.88, top), _picture(window, len(shown), len(rows)))
     polarity_legend(figure, [Line2D([], [], color="black", lw=2, label="mean position")])
     return figure
@@ -143,7 +143,7 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
 
     The path leaves out parts in which many dots fell off the grid.
     """
-    shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
+    shown = np.flatnonzero(kept)[evenly_spread(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     axes.scatter(window.time_ms[shown], place[shown], s=3.2, c=colours, lw=0, rasterized=True)
     part = (MEAN_PARTS * window.time_ms / (window.subject.config.window_us / 1e3)).astype(int)

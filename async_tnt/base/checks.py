@@ -43,18 +43,18 @@ class ParameterError(Exception):
         self.rule = rule
         self.got = got
 
-    def text(self, written: Mapping[str, str] | None = None) -> str:
-        """The message. Parameters have the names that `written` gives them, or else backticks."""
-        known = written or {}
+    def text(self, option_names: Mapping[str, str] | None = None) -> str:
+        """The message. Parameters have the names in `option_names`, or else backticks."""
+        names = option_names or {}
 
         def name_of(match: re.Match[str]) -> str:
-            return known.get(match[1], f"`{match[1]}`")
+            return names.get(match[1], f"`{match[1]}`")
 
         rule = re.sub(r"\{(\w+)\}", name_of, self.rule)
-        named = known.get(self.name, f"`{self.name}`")
+        subject = names.get(self.name, f"`{self.name}`")
         if self.got is None:
-            return f"{named} {rule}"
-        return f"{named} {rule}, got {self.got}"
+            return f"{subject} {rule}"
+        return f"{subject} {rule}, got {self.got}"
 
     def __str__(self) -> str:
         return self.text()
@@ -74,7 +74,7 @@ class ParameterWarning(ParameterError, UserWarning):
 
 def is_whole(value: Any) -> bool:
     """Whether a value is a whole number of any type. True and False are not."""
-    # np.bool_ too: NumPy 1 lets it pass for an index
+    # np.bool_, too, because NumPy 1 lets it pass for an index
     if isinstance(value, (bool, np.bool_)):
         return False
     try:
@@ -134,7 +134,7 @@ def plain_array(name: str, values: Any) -> np.ndarray:
     ------
     ParameterTypeError : `values` is a masked array. `np.asarray` would silently drop its mask.
     """
-    # the class of masked arrays is a subclass
+    # a masked array is of a subclass of np.ndarray
     if type(values) is not np.ndarray:
         refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
     return np.asarray(values)

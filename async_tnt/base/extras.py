@@ -10,7 +10,11 @@ from contextlib import contextmanager
 def needs_extra(extra: str, what: str) -> Iterator[None]:
     """Turn a failing import within the block into an ImportError of one line.
 
-    The line says `what` needs the package, and how the `extra` is installed.
+    Parameters
+    ----------
+    extra : name of the extra that installs the missing package.
+    what : the beginning of the message, which says what needs the package, such as "views need
+        rerun-sdk".
     """
     try:
         yield

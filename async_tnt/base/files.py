@@ -48,8 +48,8 @@ def refuse_git_lfs(path: Path) -> None:
 def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
     """Open a regular file, or a link to a regular file, to read its bytes.
 
-    Other kinds of files are refused: a read from a pipe without a writer would wait forever, and a
-    device may never end.
+    Other kinds of files are refused, because a read from a pipe without a writer would wait
+    forever, and a device may never end.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     is_locked = target.exists() and not os.access(target, os.W_OK)
     if is_locked or not os.access(target.parent, os.W_OK):
         raise PermissionError(f"{path} cannot be written: no permission")
-    _check_regular(_part_of(target), follow_symlinks=False)
+    _check_regular(_part_path(target), follow_symlinks=False)
     return target
 
 
@@ -101,20 +101,20 @@ def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
 
     Parameters
     ----------
-    paths : files that are written together. If one of them exists, the first file must be ours;
-        then all files are taken for ours.
+    paths : files that are written together. If any of them exists, the first file must exist and be
+        ours. If so, all files are taken for ours.
     marks : texts that the first file contains if it is ours.
 
     Raises
     ------
     OSError : the files are not ours, or cannot be written, see `check_writable`.
     """
-    there = [path for path in paths if check_writable(path).exists()]
-    content = paths[0].read_bytes() if paths[0] in there else b""
-    if there and any(mark.encode() not in content for mark in marks):
+    existing = [path for path in paths if check_writable(path).exists()]
+    content = paths[0].read_bytes() if paths[0] in existing else b""
+    if existing and any(mark.encode() not in content for mark in marks):
         expected = f"expected {paths[0].name} with {', '.join(marks)}"
         raise FileExistsError(
-            f"{there[0]} is of another program ({expected}): move it away, or give another name"
+            f"{existing[0]} is of another program ({expected}): move it away, or give another name"
         )
 
 
@@ -123,12 +123,13 @@ def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
 
     names : files in the folder that will be written; they are checked, too.
     """
-    there = folder
-    if not os.path.lexists(there):
-        there = next(path for path in folder.absolute().parents if os.path.lexists(path))
-    if not there.is_dir():
-        raise NotADirectoryError(f"{there} is not a folder; expected a folder to write to")
-    if not os.access(there, os.W_OK):
+    # the folder itself, or else the nearest folder above it that exists
+    nearest = folder
+    if not os.path.lexists(nearest):
+        nearest = next(path for path in folder.absolute().parents if os.path.lexists(path))
+    if not nearest.is_dir():
+        raise NotADirectoryError(f"{nearest} is not a folder; expected a folder to write to")
+    if not os.access(nearest, os.W_OK):
         raise PermissionError(f"{folder} cannot be written: no permission")
     if folder.is_dir():
         for name in names:
@@ -147,7 +148,7 @@ class Replacement:
 
     def __init__(self, path: Path) -> None:
         self._target = check_writable(path)
-        self.part = _part_of(self._target)
+        self.part = _part_path(self._target)
         self.part.unlink(missing_ok=True)  # left by a killed process
 
         # A file that replaces a private file is private from the start. O_EXCL does not follow a
@@ -157,7 +158,7 @@ class Replacement:
 
     def complete(self) -> None:
         """Replace the file."""
-        # The error is suppressed: there is no old file, or the file system has no permissions.
+        # An error means that there is no old file, or that the file system has no permissions.
         with contextlib.suppress(OSError):
             shutil.copymode(self._target, self.part)
         self.part.replace(self._target)
@@ -200,7 +201,7 @@ def write_text(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-def open_locked(path: Path, busy: str) -> IO[bytes]:
+def open_locked(path: Path, busy_message: str) -> IO[bytes]:
     """Open a file, made if it is missing, and lock it until it is closed or this process ends.
 
     Where the system has no such locks, nothing is locked.
@@ -208,7 +209,7 @@ def open_locked(path: Path, busy: str) -> IO[bytes]:
     Raises
     ------
     BlockingIOError : another process has locked the file, or has just replaced or deleted it. The
-        message is `busy`.
+        message is `busy_message`.
     """
     _check_regular(path, follow_symlinks=False)
     file = path.open("a+b")
@@ -222,7 +223,7 @@ def open_locked(path: Path, busy: str) -> IO[bytes]:
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
         file.close()
-        raise BlockingIOError(busy) from None
+        raise BlockingIOError(busy_message) from None
     except OSError:
         pass  # a file system without locks
     file.seek(0)
@@ -239,20 +240,22 @@ def locked_folder(folder: Path, name: str) -> Iterator[None]:
     ------
     BlockingIOError : another process has locked the file.
     """
-    busy = f"{folder}: another program is at work there; wait for that one, or give another folder"
-    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    busy_message = (
+        f"{folder}: another program is at work there; wait for that one, or give another folder"
+    )
+    missing_folders = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
-    with open_locked(folder / name, busy):
+    with open_locked(folder / name, busy_message):
         try:
             yield
         finally:
             with contextlib.suppress(OSError):  # a folder that is not empty stays
                 (folder / name).unlink()
-                for path in missing:
+                for path in missing_folders:
                     path.rmdir()
 
 
-def _part_of(target: Path) -> Path:
+def _part_path(target: Path) -> Path:
     return target.with_name(f"{target.name}.part")
 
 

@@ -29,7 +29,7 @@ def parse_json(text: str | bytes) -> Any:
     try:
         value = json.loads(text, object_pairs_hook=_json_object)
     except RecursionError:
-        raise ValueError(_TOO_DEEP) from None
+        raise ValueError(_TOO_DEEP_MESSAGE) from None
     except _JsonError:
         raise
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -42,7 +42,7 @@ def parse_json(text: str | bytes) -> Any:
     return value
 
 
-_TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
+_TOO_DEEP_MESSAGE = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
 
 
 class _JsonError(ValueError):
@@ -63,13 +63,13 @@ def _check_depth(value: Any) -> None:
     """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
     level = [value]
     for _ in range(MAX_JSON_DEPTH):
-        deeper: list[Any] = []
-        for one in level:
-            if type(one) is dict:
-                deeper += one.values()
-            elif type(one) is list:
-                deeper += one
-        level = [one for one in deeper if type(one) in (dict, list)]
+        next_level: list[Any] = []
+        for item in level:
+            if type(item) is dict:
+                next_level += item.values()
+            elif type(item) is list:
+                next_level += item
+        level = [item for item in next_level if type(item) in (dict, list)]
         if not level:
             return
-    raise ValueError(_TOO_DEEP)
+    raise ValueError(_TOO_DEEP_MESSAGE)

@@ -14,15 +14,15 @@ def one_line(error: Exception | str, limit: int = 300) -> str:
     return text if len(text) <= limit else text[:limit] + " ..."
 
 
-_short = reprlib.Repr()
-_short.maxstring = 120
-_short.maxother = 120
+_short_repr = reprlib.Repr()
+_short_repr.maxstring = 120
+_short_repr.maxother = 120
 
 
 def short(value: Any) -> str:
     """The `repr` of a value, for a message: on one line, and without its middle if it is long."""
     plain = value.item() if isinstance(value, np.generic) else value
-    return " ".join(_short.repr(plain).split())
+    return " ".join(_short_repr.repr(plain).split())
 
 
 def printable(text: str) -> str:

@@ -85,8 +85,8 @@ def progress(total: int, title: str, *, done: int = 0) -> Bar:
     return Bar(total, title, sys.stderr if is_terminal else None, done=done)
 
 
-def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:
-    """The line of a bar whose last `n` units took `seconds`.
+def describe(title: str, done: int, total: int, n_units: int, seconds: float) -> str:
+    """The line of a bar whose last `n_units` units took `seconds`.
 
     Examples
     --------
@@ -101,22 +101,22 @@ def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:
     if total > 0:
         share = min(done / total, 1.0)
         text = f"{title} {100 * share:3.0f} % [{'#' * int(20 * share):.<20}] {done:,}/{total:,}"
-    if n <= 0 or seconds <= 0:
+    if n_units <= 0 or seconds <= 0:
         return text
 
-    rate = n / seconds
+    rate = n_units / seconds
     if rate >= 10:
         text += f", {rate:,.0f}/s"
     elif rate >= 1:
         text += f", {rate:.1f}/s"
     else:
-        text += f", {seconds / n:.1f} s each"
+        text += f", {seconds / n_units:.1f} s each"
 
     if total > 0:
-        minutes, left = divmod(round(max(total - done, 0) / rate), 60)
+        minutes, seconds_left = divmod(round(max(total - done, 0) / rate), 60)
         hours, minutes = divmod(minutes, 60)
         if hours:
-            text += f", {hours}:{minutes:02}:{left:02} left"
+            text += f", {hours}:{minutes:02}:{seconds_left:02} left"
         else:
-            text += f", {minutes}:{left:02} left"
+            text += f", {minutes}:{seconds_left:02} left"
     return text

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-# Compiled code runs without the GIL and does not check bounds: two calls that change the same
+# Compiled code runs without the GIL and does not check bounds. So two calls that change the same
 # memory would corrupt it.
 
 Method = TypeVar("Method", bound=Callable[..., Any])

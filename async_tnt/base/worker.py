@@ -21,7 +21,8 @@ from queue import SimpleQueue
 from typing import Any
 
 MAX_ANSWER_BYTES = 1 << 30
-"""Most bytes of an answer: a process that is about to crash may send anything."""
+"""Most bytes of an answer. There is a limit, because a process that is about to crash may send
+anything."""
 
 
 class WorkerEnded(ChildProcessError):
@@ -41,14 +42,14 @@ class Worker:
     """
 
     def __init__(self) -> None:
-        self.pipe, theirs = connection.Pipe()
+        self.pipe, worker_pipe = connection.Pipe()
         paths = os.pathsep.join(map(os.path.abspath, sys.path))
-        stdin = theirs.fileno()
+        stdin = worker_pipe.fileno()
         if sys.platform == "win32":
             import msvcrt
 
             stdin = msvcrt.open_osfhandle(stdin, 0)
-        with theirs:
+        with worker_pipe:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", "from async_tnt.base.worker import serve; serve()"],
                 stdin=stdin,
@@ -66,10 +67,10 @@ class Worker:
     def submit(self, function: Callable[..., Any], *args: Any, limit_s: float = 0.0) -> None:
         """Call a function after the earlier calls have returned.
 
-        If the call takes more than `limit_s` seconds, the process ends; 0: no limit.
+        If the call takes more than `limit_s` seconds, the process ends. 0 stands for no limit.
         """
         call = pickle.dumps((function, args, limit_s))
-        # The error is suppressed: it means that the process has ended, and `result` raises that.
+        # An error means that the process has ended. `result` then raises WorkerEnded.
         with contextlib.suppress(OSError):
             self.pipe.send_bytes(call)
 
@@ -83,13 +84,15 @@ class Worker:
         Exception : the error that the call raised, with the worker's traceback as a note.
         WorkerEnded : no answer came in time, or the process has ended.
         """
-        ended = WorkerEnded("a worker process crashed, hung, was killed, or ran out of memory")
+        ended_error = WorkerEnded(
+            "a worker process crashed, hung, was killed, or ran out of memory"
+        )
         try:
             if not connection.wait([self.pipe], limit_s):
-                raise ended
+                raise ended_error
             is_error, value = pickle.loads(self.pipe.recv_bytes(MAX_ANSWER_BYTES))
         except (EOFError, OSError, pickle.UnpicklingError):
-            raise ended from None
+            raise ended_error from None
         if is_error:
             raise value
         return value
@@ -133,14 +136,15 @@ def _answer(call: bytes) -> bytes:
     """Call a function, and return the pickle of (False, its value) or of (True, its error)."""
     try:
         function, args, limit_s = pickle.loads(call)
-        # `faulthandler` ends the process: a library that hangs may never let a thread of Python run
+        # `faulthandler` ends the process, because a library that hangs may never let a thread of
+        # Python run
         if limit_s:
             faulthandler.dump_traceback_later(limit_s, exit=True)
         return pickle.dumps((False, function(*args)), pickle.HIGHEST_PROTOCOL)
     except BaseException as error:  # a panic in Rust derives from BaseException alone
-        note = traceback.format_exc()
+        traceback_text = traceback.format_exc()
         sendable = _sendable(error)
-        sendable.add_note(note)
+        sendable.add_note(traceback_text)
         return pickle.dumps((True, sendable))
 
 
@@ -150,9 +154,9 @@ def _sendable(error: BaseException) -> Exception:
     An error that cannot be sent would look as if the worker had ended.
     """
     try:
-        sent = pickle.loads(pickle.dumps(error))
+        copy = pickle.loads(pickle.dumps(error))
     except Exception:
-        sent = None
-    if isinstance(error, Exception) and isinstance(sent, Exception):
+        copy = None
+    if isinstance(error, Exception) and isinstance(copy, Exception):
         return error
     return RuntimeError(f"{type(error).__name__}: {error}")

@@ -38,9 +38,9 @@ PACKET_SIZES = (1, 2, 7, 100, 0)
 """The packet sizes that are compared, in events. 0 stands for all events at once."""
 VOLUME_BOUND = 1e-6
 """Largest difference of two volumes, as a share of the largest cell."""
-CANCELLED = 1e-9
-"""A small value of a cell, in events. If all cells are below it, opposite events have cancelled
-each other, and only rounding errors are left."""
+LEAST_CELL = 1e-9
+"""A small value of a cell, in events. If all cells are below this value, opposite events have
+cancelled each other, and only rounding errors are left."""
 LANDMARK_BOUND = 1e-9
 """Largest distance of two landmarks, in grid pixels."""
 REGRESSED_LANDMARK_BOUND = 1e-4
@@ -76,8 +76,8 @@ class Comparison:
     def include(self, other: Comparison) -> None:
         """Add the comparisons of another recording."""
         self.n += other.n
-        # A nan must be taken over and then stay, so that the comparison fails. With a nan, `not <=`
-        # is true, and `>` would be false.
+        # A nan must be taken over and then stay, so that the comparison fails. `not <=` is true
+        # for a nan, but `>` would be false.
         is_worse = not other.worst <= self.worst
         if is_worse and not math.isnan(self.worst):
             self.worst = other.worst
@@ -128,9 +128,9 @@ def check_recording(
     comparisons = []
     for name, config in configurations(model.config).items():
         regressor = CompiledRegressor(model) if config.needs_regressor else None
-        closed = _closed_windows(events, config, PACKET_SIZES[0], start_us, regressor)
-        comparisons.append(_check_packets(events, name, config, start_us, regressor, closed))
-        comparisons += _check_volumes(events, name, config, model, prefixes, start_us, closed)
+        digests = _window_digests(events, config, PACKET_SIZES[0], start_us, regressor)
+        comparisons.append(_check_packets(events, name, config, start_us, regressor, digests))
+        comparisons += _check_volumes(events, name, config, model, prefixes, start_us, digests)
         on_progress()
     comparisons += _check_network(events, model, prefixes, start_us)
     on_progress()
@@ -143,20 +143,21 @@ def _check_packets(
     config: TNTConfig,
     start_us: int | None,
     regressor: Regressor | None,
-    closed: list[tuple[int, bytes]],
+    digests: list[tuple[int, bytes]],
 ) -> Comparison:
     """Check the first half of promise (a): volumes do not depend on packets.
 
     Parameters
     ----------
-    closed : the `_closed_windows` for the first of `PACKET_SIZES`.
+    digests : what `_window_digests` returns for the first of `PACKET_SIZES`.
     """
     packets = Comparison("volumes that depend on packets", name, 0.0)
     for size in PACKET_SIZES[1:]:
-        got = _closed_windows(events, config, size, start_us, regressor)
-        packets.add(abs(len(got) - len(closed)))
-        for one, other in zip(closed, got, strict=False):
-            packets.add(float(one != other))
+        other_digests = _window_digests(events, config, size, start_us, regressor)
+        # windows that only one of the two streams has
+        packets.add(abs(len(other_digests) - len(digests)))
+        for digest, other_digest in zip(digests, other_digests, strict=False):
+            packets.add(float(digest != other_digest))
     return packets
 
 
@@ -167,13 +168,13 @@ def _check_volumes(
     model: Model,
     prefixes: int | None,
     start_us: int | None,
-    closed: list[tuple[int, bytes]],
+    digests: list[tuple[int, bytes]],
 ) -> list[Comparison]:
     """Check windows, volumes and landmarks: the second half of promise (a), and promise (b).
 
     Parameters
     ----------
-    closed : the `_closed_windows` of a stream.
+    digests : what `_window_digests` returns for a stream.
     """
     from async_tnt.checking.reference import reference_landmark, reference_volume, reference_windows
 
@@ -183,29 +184,35 @@ def _check_volumes(
     volumes = Comparison("volume against reference, of the largest cell", name, VOLUME_BOUND)
     landmarks = Comparison("landmark against reference, px", name, landmark_bound)
 
-    in_reference = reference_windows(events, config, start_us)
-    starts = [start for start, _ in closed]
-    windows.add(float(starts != [start for start, _ in in_reference]))
+    windows_of_reference = reference_windows(events, config, start_us)
+    starts = [window_start_us for window_start_us, _ in digests]
+    windows.add(float(starts != [window_start_us for window_start_us, _ in windows_of_reference]))
 
-    digest_of = dict(closed)
+    digest_of_window = dict(digests)
     regressor = CompiledRegressor(model) if is_regressed else None
     find_landmark = landmark_function(model) if is_regressed else None
     untransformed = config.replace(transform="none") if is_regressed else config
     volume = TNTVolume(config, regressor=regressor)
-    for start, inside, ends in _prefixes(in_reference, prefixes):
-        volume.open(start)
-        for before, n in pairwise([0, *ends]):
-            volume.update(inside[before:n])
-            seen = inside[:n]
-            ours = volume.landmark
-            reference = reference_volume(seen, config, start, ours if is_regressed else None)
+    for window_start_us, window_events, ends in _prefixes(windows_of_reference, prefixes):
+        volume.open(window_start_us)
+        for n_before, n in pairwise([0, *ends]):
+            volume.update(window_events[n_before:n])
+            prefix = window_events[:n]
+            stream_landmark = volume.landmark
+            reference = reference_volume(
+                prefix, config, window_start_us, stream_landmark if is_regressed else None
+            )
             volumes.add(_difference(volume.array, reference))
             if find_landmark is not None:
-                theirs = find_landmark(reference_volume(seen, untransformed, start))
-                landmarks.add(_distance(ours, theirs))
+                network_landmark = find_landmark(
+                    reference_volume(prefix, untransformed, window_start_us)
+                )
+                landmarks.add(_distance(stream_landmark, network_landmark))
             elif config.transform == "tnt":
-                landmarks.add(_distance(ours, reference_landmark(seen, config, start)))
-        windows.add(float(_digest(volume.array) != digest_of.get(start)))
+                landmarks.add(
+                    _distance(stream_landmark, reference_landmark(prefix, config, window_start_us))
+                )
+        windows.add(float(_digest(volume.array) != digest_of_window.get(window_start_us)))
 
     if config.transform == "tnt":
         return [windows, volumes, landmarks]
@@ -221,48 +228,52 @@ def _check_network(
     """
     from async_tnt.checking.reference import reference_pipeline, reference_windows
 
-    repeated = Comparison("bits that depend on earlier decisions", "the model", 0.0)
+    bits = Comparison("bits that depend on earlier decisions", "the model", 0.0)
     logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
     config = model.config
     pipeline = reference_pipeline(model)
     whole_network = CompiledClassifier(model)
-    # The same network is used for all windows: it must keep nothing of the previous window.
+    # The same network is used for all windows, because it must keep nothing of the previous window.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     # If each read builds the volume anew from all events of the window, a decision after each event
     # would take too long. Then there are decisions only at the ends of prefixes.
     every_events = None if config.needs_replay else 1
-    for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
-        first_us: int | None = start
-        still_open = config
+    for window_start_us, window_events, ends in _prefixes(
+        reference_windows(events, config, start_us), prefixes
+    ):
+        first_us: int | None = window_start_us
+        open_config = config
         if config.window_events is not None:
             # A full window would be closed, and could not be read. So there is room for one event
             # more.
             first_us = None
-            still_open = config.replace(window_events=inside.size + 1)
+            open_config = config.replace(window_events=window_events.size + 1)
         processor = Processor(
-            still_open,
+            open_config,
             classifier=incremental,
             regressor=regressor,
             start_us=first_us,
             every_events=every_events,
         )
-        for before, n in pairwise([0, *ends]):
-            decisions = processor.push(inside[before:n])
+        for n_before, n in pairwise([0, *ends]):
+            decisions = processor.push(window_events[n_before:n])
             decision = processor.fire() if every_events is None else decisions[-1]
-            ours = decision.logits
-            whole = whole_network(processor.volume())
-            theirs = pipeline(inside[:n], start).reshape(ours.shape)
-            has_other_bits = ours.view(np.uint32) != whole.view(np.uint32)
-            repeated.add(float(np.count_nonzero(has_other_bits)))
-            largest = max(1.0, np.abs(theirs).max())
-            logits.add(float(np.abs(ours - theirs).max() / largest))
-    return [repeated, logits]
+            stream_logits = decision.logits
+            whole_logits = whole_network(processor.volume())
+            reference_logits = pipeline(window_events[:n], window_start_us).reshape(
+                stream_logits.shape
+            )
+            has_other_bits = stream_logits.view(np.uint32) != whole_logits.view(np.uint32)
+            bits.add(float(np.count_nonzero(has_other_bits)))
+            largest = max(1.0, np.abs(reference_logits).max())
+            logits.add(float(np.abs(stream_logits - reference_logits).max() / largest))
+    return [bits, logits]
 
 
 def _difference(volume: np.ndarray, reference: np.ndarray) -> float:
     """The largest difference of two volumes, as a share of the largest cell."""
-    largest = max(float(np.abs(reference).max()), float(np.abs(volume).max()), CANCELLED)
+    largest = max(float(np.abs(reference).max()), float(np.abs(volume).max()), LEAST_CELL)
     return float(np.abs(volume - reference).max()) / largest
 
 
@@ -271,7 +282,7 @@ def _distance(landmark: tuple[float, float], reference: tuple[float, float]) -> 
     return float(np.abs(np.subtract(landmark, reference)).max())
 
 
-def _closed_windows(
+def _window_digests(
     events: np.ndarray,
     config: TNTConfig,
     packet_size: int,
@@ -288,11 +299,11 @@ def _closed_windows(
     digests: list[bytes] = []
 
     # a classifier that only notes the digest of each volume it gets
-    def keep(volume: np.ndarray) -> list[float]:
+    def note_digest(volume: np.ndarray) -> list[float]:
         digests.append(_digest(volume))
         return [0.0]
 
-    processor = Processor(config, classifier=keep, regressor=regressor, start_us=start_us)
+    processor = Processor(config, classifier=note_digest, regressor=regressor, start_us=start_us)
     if packet_size == 1:
         packets = events.tolist()
     else:
@@ -314,7 +325,8 @@ def _prefixes(
     windows: list[tuple[int, np.ndarray]], prefixes: int | None
 ) -> Iterator[tuple[int, np.ndarray, list[int]]]:
     """Yield each window's start, its events, and the lengths of the prefixes to compare."""
-    for start_us, inside in windows:
-        n = inside.size
-        count = n if prefixes is None else min(prefixes, n)
-        yield start_us, inside, [round(k * n / count) for k in range(1, count + 1)]
+    for start_us, window_events in windows:
+        n_events = window_events.size
+        n_prefixes = n_events if prefixes is None else min(prefixes, n_events)
+        lengths = [round(k * n_events / n_prefixes) for k in range(1, n_prefixes + 1)]
+        yield start_us, window_events, lengths

@@ -39,7 +39,7 @@ def reference_volume(
         the configuration's landmark is "regressor".
     """
     columns = [events[field] for field in "txyp"]
-    settings = _window(events, config, start_us)
+    settings = _window_arguments(events, config, start_us)
     settings["polarity"] = config.polarity
     if config.representation in TIME_IMAGES:
         settings["representation"] = config.representation
@@ -55,9 +55,9 @@ def reference_volume(
 
 def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> Landmark:
     """The landmark of the newest event, in grid pixels, for all landmarks but "regressor"."""
-    window = _window(events, config, start_us)
+    arguments = _window_arguments(events, config, start_us)
     landmarks = tnt_reference.landmark(
-        config.landmark, events["t"], events["x"], events["y"], **window
+        config.landmark, events["t"], events["x"], events["y"], **arguments
     )
     x, y = landmarks[-1].tolist()
     return x, y
@@ -75,11 +75,11 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
         **settings,
     )
 
-    def forward(events: np.ndarray, start_us: int) -> np.ndarray:
+    def logits_of(events: np.ndarray, start_us: int) -> np.ndarray:
         with torch.inference_mode():
             return pipeline(*(events[field] for field in "txyp"), start_us).numpy()
 
-    return forward
+    return logits_of
 
 
 def reference_windows(
@@ -94,20 +94,23 @@ def reference_windows(
         return []
     t = events["t"]
     if config.window_events is not None:
-        lots = tnt_reference.windows_of_events(t, config.window_events, config.window_us)
-        return [(int(t[lot[0]]), events[lot.numpy()]) for lot in lots]
+        indices_of_windows = tnt_reference.windows_of_events(
+            t, config.window_events, config.window_us
+        )
+        return [(int(t[indices[0]]), events[indices.numpy()]) for indices in indices_of_windows]
 
     first_us = int(t[0]) if start_us is None else start_us
-    number = (t - first_us) // config.window_us
-    in_time = (number >= 0) & (number == np.maximum.accumulate(number))
+    window_number = (t - first_us) // config.window_us
+    # a late event has a lower number than an event before it
+    is_in_time = (window_number >= 0) & (window_number == np.maximum.accumulate(window_number))
     windows = []
-    for k in np.unique(number[in_time]).tolist():
-        inside = events[in_time & (number == k)]
-        windows.append((first_us + k * config.window_us, inside))
+    for k in np.unique(window_number[is_in_time]).tolist():
+        window_events = events[is_in_time & (window_number == k)]
+        windows.append((first_us + k * config.window_us, window_events))
     return windows
 
 
-def _window(events: np.ndarray, config: TNTConfig, start_us: int) -> dict[str, Any]:
+def _window_arguments(events: np.ndarray, config: TNTConfig, start_us: int) -> dict[str, Any]:
     """The arguments of the reference that describe a window."""
     window_us = config.window_us
     if config.window_events is not None:

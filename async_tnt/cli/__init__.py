@@ -5,7 +5,7 @@ This module imports almost nothing, so that signals are handled as early as poss
 
 from __future__ import annotations
 
-import _signal  # the import of `signal` takes longer: Ctrl-C meanwhile would show a traceback
+import _signal  # importing `signal` takes longer, and Ctrl-C meanwhile would show a traceback
 import gc
 import io
 import os
@@ -26,10 +26,10 @@ def main(argv: list[str] | None = None) -> int:
     """
     owns_process = argv is None
     if owns_process:
-        _at_signals(_end)
+        _set_handlers(_end)
         _open_streams()
-    # No garbage collection until the command begins: imports leave no garbage, and the search for
-    # it takes a tenth of the start-up time.
+    # Garbage is collected only when the command begins. Imports leave no garbage, and the search
+    # for it takes a tenth of the start-up time.
     gc.disable()
     try:
         # Imported only now, with the handlers set. This imports NumPy and Numba, whose C code may
@@ -42,10 +42,10 @@ def main(argv: list[str] | None = None) -> int:
         if owns_process:
             # While Python shuts down, it receives signals but calls no handler. So the system's
             # default action must end the process.
-            _at_signals(_signal.SIG_DFL)
+            _set_handlers(_signal.SIG_DFL)
 
 
-def _at_signals(handler: Callable[[int, object], None] | int) -> None:
+def _set_handlers(handler: Callable[[int, object], None] | int) -> None:
     """Set the handler of the signals that end the program.
 
     A signal that is ignored stays ignored, such as Ctrl-C in a background job or SIGHUP under
@@ -59,9 +59,9 @@ def _at_signals(handler: Callable[[int, object], None] | int) -> None:
 
 def _end(number: int, frame: object) -> None:
     """Print that a signal came, and end the process. This is a signal handler."""
-    what = b"interrupted" if number == _signal.SIGINT else b"terminated"
+    outcome = b"interrupted" if number == _signal.SIGINT else b"terminated"
     try:
-        os.write(2, b"async-tnt: " + what + b"\n")
+        os.write(2, b"async-tnt: " + outcome + b"\n")
     finally:  # also if stderr is closed or full
         os._exit(128 + number)
 

@@ -107,8 +107,8 @@ def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
     if sensor == SAMPLE_SENSOR:
         return recordings, "bundled samples"
     for events in recordings:
-        for axis, side, own_side in zip("xy", sensor, SAMPLE_SENSOR, strict=True):
-            events[axis] = events[axis].astype(np.int64) * side // own_side
+        for axis, side, sample_side in zip("xy", sensor, SAMPLE_SENSOR, strict=True):
+            events[axis] = events[axis].astype(np.int64) * side // sample_side
     return recordings, "bundled samples, spread over the sensor"
 
 
@@ -131,14 +131,14 @@ def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
         windows.append(_packets(events[in_window][: config.window_events]))
     n_events = sum(packet.size for window in windows for packet in window)
     for _ in range(ROUNDS):
-        taken_s = 0.0
+        duration_s = 0.0
         for window in windows:
             volume.open(int(window[0]["t"][0]))
             started = time.perf_counter()
             for packet in window:
                 volume.update(packet)
-            taken_s += time.perf_counter() - started
-        yield 1e9 * taken_s / n_events
+            duration_s += time.perf_counter() - started
+        yield 1e9 * duration_s / n_events
 
 
 def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iterator[float]:
@@ -149,19 +149,20 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
     processor = Processor(model)
     for events in recordings:
         processor.reset()
-        done = 0
-        for at in np.linspace(n_new, events.size, MOMENTS).astype(int):
-            before = at - n_new
-            # too close to the previous timed call, or to the beginning of the recording
-            if before < max(done, 1):
+        n_pushed = 0
+        for n_at_call in np.linspace(n_new, events.size, MOMENTS).astype(int):
+            # The decision before the timed one comes after this number of events. It must not come
+            # before the previous timed decision, or before the first event.
+            n_before = n_at_call - n_new
+            if n_before < max(n_pushed, 1):
                 continue
-            processor.push(events[done:before])
+            processor.push(events[n_pushed:n_before])
             processor.fire()
-            processor.push(events[before:at])
+            processor.push(events[n_before:n_at_call])
             started = time.perf_counter()
             processor.fire()
             yield 1e6 * (time.perf_counter() - started)
-            done = at
+            n_pushed = n_at_call
 
 
 def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
@@ -204,12 +205,13 @@ def _cpu_name() -> str:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             for line in file:
                 name, colon, value = line.partition(":")
+                # every core has the same fields, so one value of each is enough
                 if colon and ":" not in value:
                     fields[name.strip()] = value.strip()
     except OSError:
         return platform.processor() or platform.machine()
-    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still
-    # identify it
+    # Some virtual machines hide the name of the model ("Intel(R) Xeon(R) Processor"). The
+    # numbers of the family and the model still identify it.
     name = fields.get("model name", "?")
     family = fields.get("cpu family", "?")
     return f"{name} (family {family}, model {fields.get('model', '?')})"
@@ -217,11 +219,11 @@ def _cpu_name() -> str:
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
     """Yield the report as lines of text."""
-    about = report["machine"]
+    facts = report["machine"]
     config = report["model"]["config"]
-    versions = [f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba")]
-    load = f"load {about['load_1min']}"
-    yield f"{about['cpu']}, {about['cores']} cores, {load}; {', '.join(versions)}"
+    versions = [f"{name} {facts[name]}" for name in ("python", "async_tnt", "numpy", "numba")]
+    load = f"load {facts['load_1min']}"
+    yield f"{facts['cpu']}, {facts['cores']} cores, {load}; {', '.join(versions)}"
 
     yield f"kernels: {report['kernels']}"
 
@@ -231,11 +233,11 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
 
     yield f"{'':44}{'median':>10}  quartiles"
     rows = {"ns an event into the volume": report["ns_an_event"]}
-    for n_new, figure in report["us_a_decision"].items():
+    for n_new, spread in report["us_a_decision"].items():
         events = "event" if n_new == "1" else "events"
-        rows[f"us a decision, {int(n_new):,} new {events}"] = figure
+        rows[f"us a decision, {int(n_new):,} new {events}"] = spread
     rows["decisions a second, one after every event"] = report["decisions_a_second"]
-    for title, figure in rows.items():
-        digits = 0 if figure["median"] >= 1000 else 1
-        quartiles = f"{figure['q1']:,.{digits}f} to {figure['q3']:,.{digits}f}"
-        yield f"{title:44}{figure['median']:>10,.{digits}f}  {quartiles}"
+    for title, spread in rows.items():
+        n_decimals = 0 if spread["median"] >= 1000 else 1
+        quartiles = f"{spread['q1']:,.{n_decimals}f} to {spread['q3']:,.{n_decimals}f}"
+        yield f"{title:44}{spread['median']:>10,.{n_decimals}f}  {quartiles}"

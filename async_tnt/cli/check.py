@@ -25,7 +25,7 @@ from async_tnt.volume.sensor import check_sensor
 REMOVED = {"--start-us": "windows begin with the first event; --between-us chooses a part"}
 
 SIZES = ", ".join(str(size) for size in PACKET_SIZES[:-1])
-"""The packet sizes as text. The last size is left out: it stands for all events at once."""
+"""The packet sizes as text. The last size, which stands for all events at once, is left out."""
 
 DESCRIPTION = f"""\
 Compare the stream with the batch reference in torch, on recordings. For every landmark:
@@ -74,11 +74,13 @@ def main(args: argparse.Namespace) -> int:
     paths = paths_of(args)
 
     if must_compile():
-        # A recording that is not there is told before the wait.
+        # A missing recording is reported before the wait for the compilation.
         for path in paths:
             open_recording(path, sensor=model.config.sensor)
     results: dict[Path, list[Comparison]] = {}
-    with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
+    # `check_recording` reports each configuration, and then the network
+    n_steps = len(configurations(model.config)) + 1
+    with progress(len(paths) * n_steps, "checking") as bar:
         for path in paths:
             recording = open_recording(path, sensor=model.config.sensor, **reading_of(args))
             check_sensor(
@@ -94,41 +96,41 @@ def main(args: argparse.Namespace) -> int:
                 events, model, prefixes=args.prefixes, on_progress=bar.update
             )
 
-    equal = all(c.holds for comparisons in results.values() for c in comparisons)
+    is_equal = all(c.holds for comparisons in results.values() for c in comparisons)
     if args.json:
-        say(json.dumps(_as_json(results, args.prefixes, equal)))
+        say(json.dumps(_as_json(results, args.prefixes, is_equal)))
     else:
-        _print_table(results, equal)
-    return 0 if equal else 1
+        _print_table(results, is_equal)
+    return 0 if is_equal else 1
 
 
-def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
+def _print_table(results: dict[Path, list[Comparison]], is_equal: bool) -> None:
     """Print a line for each comparison, with its worst difference over all recordings.
 
     Also print a line on stderr for each comparison that fails on a recording.
     """
-    merged: dict[tuple[str, str], Comparison] = {}
+    totals: dict[tuple[str, str], Comparison] = {}
     for comparisons in results.values():
         for c in comparisons:
-            worst = merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound))
-            worst.include(c)
+            total = totals.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound))
+            total.include(c)
     say(f"{'what is compared':<46} {'landmark':<19} {'times':>7} {'worst':>9} {'bound':>7}")
-    for c in merged.values():
+    for c in totals.values():
         mark = "ok" if c.holds else "FAILS"
         say(f"{c.what:<46} {c.config:<19} {c.n:>7} {c.worst:>9.2g} {c.bound:>7.0g}  {mark}")
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
                 note(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons")
-    say(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
+    say(f"{len(results)} recordings: stream and batch are {'equal' if is_equal else 'NOT equal'}")
 
 
 def _as_json(
-    results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool
+    results: dict[Path, list[Comparison]], prefixes: int | None, is_equal: bool
 ) -> dict[str, object]:
     """All comparisons, as --json prints them."""
     return {
-        "equal": equal,
+        "equal": is_equal,
         "prefixes": "all" if prefixes is None else prefixes,
         "packet_sizes": [size or "all" for size in PACKET_SIZES],
         "recordings": {

@@ -32,7 +32,7 @@ from async_tnt.sources.files.source import ReadOptions
 from async_tnt.streaming.compile_ahead import must_compile, warmup
 from async_tnt.volume.event_forms import check_order
 
-SHOWN = 200
+MOST_LETTERS = 200
 """Number of letters of class names that an error shows, at most."""
 
 REMOVED = {"--restart": "delete the file of --out to start over"}
@@ -114,8 +114,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt evaluate`. Returns the exit code."""
-    run = _how_to_run(args)
-    # Checked before any recording is read: later, the error would count as a recording's own fault.
+    run = _run_function(args)
+    # Checked before any recording is read, because later the error would count as a fault of each
+    # recording.
     if args.columns is not None:
         check_order("columns", args.columns)
     model = model_of(args.model)
@@ -123,22 +124,22 @@ def main(args: argparse.Namespace) -> int:
         return evaluate_objects(args, model)
 
     pixels = model_pixels_of(pixels_of(args), model)
-    found = labelled_recordings(args.dataset, model)
+    recordings_of_class = labelled_recordings(args.dataset, model)
     if must_compile():
         warmup(model)  # the workers then load what this process has compiled
     reading = ReadOptions(columns=args.columns, topic=args.topic)
     job = job_of(args.model, model, pixels.pixels, reading)
-    tasks = _tasks_of(found, args.dataset, job)
+    tasks = _tasks_of(recordings_of_class, args.dataset, job)
     check = functools.partial(check_record, classes=model.classes, config=model.config)
     records = _stream(args, tasks, run, check)
 
-    good = [record for record in records if record["error"] is None]
-    skipped = [record["error"] for record in records if record["error"] is not None]
-    if not good:
+    good_records = [record for record in records if record["error"] is None]
+    errors = [record["error"] for record in records if record["error"] is not None]
+    if not good_records:
         raise ValueError(
-            f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}"
+            f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {errors[0]}"
         )
-    report = report_of(model, good, skipped)
+    report = report_of(model, good_records, errors)
     if pixels.pixels.about:
         report["pixels"] = pixels.pixels.about
     if args.json:
@@ -146,18 +147,18 @@ def main(args: argparse.Namespace) -> int:
     else:
         say(*lines_of(report))
 
-    where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
-    complain_late(str(args.dataset), report["late"], report["events"], where)
+    place = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
+    complain_late(str(args.dataset), report["late"], report["events"], place)
     if report["off_sensor"]:
         complain(
             f"{args.dataset}: {report['off_sensor']:,} events lie off the sensor and were left out"
         )
-    for line in skipped:
+    for line in errors:
         complain(f"skipped: {line}")
-    return 2 if skipped and args.strict else 0
+    return 2 if errors and args.strict else 0
 
 
-def _how_to_run(args: argparse.Namespace) -> Run:
+def _run_function(args: argparse.Namespace) -> Run:
     """The function that streams the recordings: in processes here, or on a Dask cluster.
 
     Raises
@@ -174,11 +175,11 @@ def _how_to_run(args: argparse.Namespace) -> Run:
 
 
 def _tasks_of(
-    found: Mapping[str, Sequence[LabelledRecording]], folder: Path, job: Job
+    recordings_of_class: Mapping[str, Sequence[LabelledRecording]], folder: Path, job: Job
 ) -> list[Task]:
     """A task for each recording, named by the recording's path relative to `folder`."""
     tasks = []
-    for label, recordings in found.items():
+    for label, recordings in recordings_of_class.items():
         for recording in recordings:
             name = recording.name_as(recording.path.relative_to(folder).as_posix())
             tasks.append(task_of(name, recording.path, job, label, recording.between_us))
@@ -214,9 +215,9 @@ def _stream(
                 report=complain,
             )
     except KeyboardInterrupt as error:
-        n_done = f": {error}" if str(error) else ""
-        kept = "the same command resumes" if args.out else "nothing is kept without --out"
-        raise KeyboardInterrupt(f"interrupted{n_done}; {kept}") from None
+        progress_text = f": {error}" if str(error) else ""
+        advice = "the same command resumes" if args.out else "nothing is kept without --out"
+        raise KeyboardInterrupt(f"interrupted{progress_text}; {advice}") from None
 
 
 def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRecording]]:
@@ -227,15 +228,19 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
     ValueError : the folder has a class that the model does not know, or has no recordings.
     OSError : the folder does not exist.
     """
-    found = find_recordings(folder, "Test")
-    unknown = [name for name in found if name not in model.classes]
-    if unknown:
-        theirs = shorten(", ".join(unknown), SHOWN)
-        ours = shorten(", ".join(model.classes), SHOWN)
-        raise ValueError(f"{folder}: the model does not know class {theirs}; it knows {ours}")
-    if not any(found.values()):
-        raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
-    return found
+    recordings_of_class = find_recordings(folder, "Test")
+    unknown_classes = [name for name in recordings_of_class if name not in model.classes]
+    if unknown_classes:
+        unknown_names = shorten(", ".join(unknown_classes), MOST_LETTERS)
+        known_names = shorten(", ".join(model.classes), MOST_LETTERS)
+        raise ValueError(
+            f"{folder}: the model does not know class {unknown_names}; it knows {known_names}"
+        )
+    if not any(recordings_of_class.values()):
+        raise ValueError(
+            f"{folder}: no recordings in its class folders ({', '.join(recordings_of_class)})"
+        )
+    return recordings_of_class
 
 
 def report_of(model: Model, records: list[Record], skipped: list[str]) -> dict[str, Any]:
@@ -292,24 +297,26 @@ def _class_line(report: dict[str, Any], k: int) -> str:
     name = classes[k]
     row = report["confusion"][k]
     accuracy = report["per_class"][name]
-    share = "-" if accuracy is None else f"{accuracy:.3f}"
+    accuracy_text = "-" if accuracy is None else f"{accuracy:.3f}"
     windows = report["window_confusion"][k]
-    right = f"{windows[k]:,} of {sum(windows):,}"
-    wrong = [(n, j) for j, n in enumerate(row) if n and j != k]
-    most_frequent = sorted(wrong, reverse=True)[:3]
-    confused = ", ".join(f"{classes[j]} ({n})" for n, j in most_frequent)
-    return f"{name:<24} {share:>8} {sum(row):>11} {right:>15}  {confused}".rstrip()
+    windows_text = f"{windows[k]:,} of {sum(windows):,}"
+    confusions = [(n, j) for j, n in enumerate(row) if n and j != k]
+    most_frequent = sorted(confusions, reverse=True)[:3]
+    confused_with = ", ".join(f"{classes[j]} ({n})" for n, j in most_frequent)
+    columns = f"{accuracy_text:>8} {sum(row):>11} {windows_text:>15}"
+    return f"{name:<24} {columns}  {confused_with}".rstrip()
 
 
 def _level_line(level: dict[str, Any]) -> str:
     """A line of text about a level of confidence.
 
-    It says how many windows reach the level, how many of these are right, and after how long.
+    Its columns are the fields of `early_report`: `accuracy`, `decided` and `window_accuracy`, then
+    `median_ms` and `p90_ms`.
     """
-    right = "-"
-    ms = ""
+    accuracy_text = "-"
+    times_text = ""
     if level["accuracy"] is not None:
-        right = f"{level['accuracy']:.3f}"
-        ms = f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
-    shares = f"{right:>8} {level['decided']:>11.3f} {level['window_accuracy']:>12.3f}"
-    return f"{level['level']:<24} {shares}  {ms}".rstrip()
+        accuracy_text = f"{level['accuracy']:.3f}"
+        times_text = f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
+    shares = f"{accuracy_text:>8} {level['decided']:>11.3f} {level['window_accuracy']:>12.3f}"
+    return f"{level['level']:<24} {shares}  {times_text}".rstrip()

@@ -24,34 +24,34 @@ NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask"
 
 
 @dataclass
-class _Found:
+class _Totals:
     """The scores of a data set: sums over the recordings that were read so far.
 
     Attributes
     ----------
     scores : share of a window -> the scores after this share; empty before the first recording.
     n_moments : number of moments in the tables.
-    n_off : number of objects in the tables whose middle is off the sensor.
+    n_off_sensor : number of objects in the tables whose middle is off the sensor.
     unknown : class that the model does not know -> number of its objects in the tables.
     skipped : for each recording that cannot be read, the error.
     """
 
     scores: dict[float, ObjectScores] = field(default_factory=dict)
     n_moments: int = 0
-    n_off: int = 0
+    n_off_sensor: int = 0
     unknown: Counter[str] = field(default_factory=Counter)
     skipped: list[str] = field(default_factory=list)
 
     def add(self, scores: dict[float, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
         """Add the scores and the table of one recording."""
-        for share, of_recording in scores.items():
+        for share, recording_scores in scores.items():
             if share in self.scores:
-                self.scores[share] += of_recording
+                self.scores[share] += recording_scores
             else:
-                self.scores[share] = of_recording
+                self.scores[share] = recording_scores
         self.n_moments += len(np.unique(table.t))
         is_off = ((table.middle < 0) | (table.middle >= sensor)).any(axis=1)
-        self.n_off += int(is_off.sum())
+        self.n_off_sensor += int(is_off.sum())
         self.unknown.update(table.unknown)
 
 
@@ -60,50 +60,53 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
 
     Returns the exit code.
     """
-    given = [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]
-    if given:
-        raise ValueError(f"{args.model} finds objects: {', '.join(given)} cannot be used with it")
+    refused_options = [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]
+    if refused_options:
+        raise ValueError(
+            f"{args.model} finds objects: {', '.join(refused_options)} cannot be used with it"
+        )
     if model.config.window_events is not None:
         raise ValueError(
             f"{args.model}: objects are scored in windows of a duration, not of a number of events"
         )
 
     tables = find_tables(args.dataset)
-    found = _Found()
+    totals = _Totals()
     with progress(len(tables), "recordings") as bar:
         for path, table in tables:
             try:
-                _score(path, table, model, args, found)
+                _score(path, table, model, args, totals)
             except (ValueError, OSError) as error:
-                found.skipped.append(str(error))
+                totals.skipped.append(str(error))
             bar.update()
-    if not found.scores:
+    if not totals.scores:
         raise ValueError(
-            f"{args.dataset}: none of {len(tables)} recordings can be evaluated; {found.skipped[0]}"
+            f"{args.dataset}: none of {len(tables)} recordings can be evaluated; "
+            f"{totals.skipped[0]}"
         )
 
-    report = _report_of(found, model, len(tables) - len(found.skipped))
+    report = _report_of(totals, model, len(tables) - len(totals.skipped))
     if args.json:
         say(json.dumps(report))
     else:
         say(*_lines(report))
-    if found.unknown:
-        of_each = ", ".join(f"{name} ({n})" for name, n in sorted(found.unknown.items()))
-        complain(f"objects of classes that the model does not know do not count: {of_each}")
-    if found.n_off:
+    if totals.unknown:
+        counts = ", ".join(f"{name} ({n})" for name, n in sorted(totals.unknown.items()))
+        complain(f"objects of classes that the model does not know do not count: {counts}")
+    if totals.n_off_sensor:
         complain(
-            f"objects whose middle is off the sensor cannot be found: {found.n_off}; is the table "
-            "in its pixels?"
+            f"objects whose middle is off the sensor cannot be found: {totals.n_off_sensor}; is "
+            "the table in its pixels?"
         )
-    for line in found.skipped:
+    for line in totals.skipped:
         complain(f"skipped: {line}")
-    return 2 if found.skipped and args.strict else 0
+    return 2 if totals.skipped and args.strict else 0
 
 
 def _score(
-    path: Path, table_file: Path, model: Model, args: argparse.Namespace, found: _Found
+    path: Path, table_file: Path, model: Model, args: argparse.Namespace, totals: _Totals
 ) -> None:
-    """Score one recording, and add its scores to `found`.
+    """Score one recording, and add its scores to `totals`.
 
     Raises
     ------
@@ -122,23 +125,24 @@ def _score(
     if recording.sensor is None:
         raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
     scores = score_recording(model.for_sensor(recording.sensor), recording, table)
-    found.add(scores, table, recording.sensor)
+    totals.add(scores, table, recording.sensor)
 
 
-def _report_of(found: _Found, model: Model, n_recordings: int) -> dict[str, Any]:
+def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, Any]:
     """The report with all numbers, as --json prints it."""
     f1_against_time = {}
-    for share, scores in found.scores.items():
+    for share, scores in totals.scores.items():
         after_ms = share * model.config.window_us / 1e3
         f1_against_time[f"{after_ms:g}"] = round(scores.f1, 5)
+    after_whole_window = totals.scores[1.0]
     return {
-        **found.scores[1.0].to_dict(model.classes),
+        **after_whole_window.to_dict(model.classes),
         "f1_against_time_ms": f1_against_time,
         "recordings": n_recordings,
-        "moments": found.n_moments,
-        "unknown_classes": found.unknown,
-        "off_sensor": found.n_off,
-        "skipped": found.skipped,
+        "moments": totals.n_moments,
+        "unknown_classes": totals.unknown,
+        "off_sensor": totals.n_off_sensor,
+        "skipped": totals.skipped,
     }
 
 

@@ -65,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         with replacing(args.out) as part:
             part.write_bytes(content)
-            # the check reads the file that was just written, so that it checks what is kept
+            # the check reads the file itself, because the file is what is kept
             compare(OnnxClassifier(part), compiled, compiled.shape)
     except ValueError as error:
         difference = one_line(error)
@@ -80,10 +80,10 @@ def main(args: argparse.Namespace) -> int:
         }
         say(json.dumps(report))
     elif agrees:
-        logits = (len(model.classes),) if model.places is None else model.logits_shape
+        logits_shape = (len(model.classes),) if model.places is None else model.logits_shape
         say(
             f"{args.out} ({len(content) / 1e3:.0f} kB): volume {(1, *compiled.shape)} -> logits "
-            f"{(1, *logits)}"
+            f"{(1, *logits_shape)}"
         )
         say(f"onnxruntime {version} agrees with the compiled network")
     else:

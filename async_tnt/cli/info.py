@@ -42,7 +42,7 @@ BARS = " ▁▂▃▄▅▆▇█"
 ASCII_BARS = " .:-=+*#@"
 """Bars for an output that cannot print `BARS`."""
 N_HOT = 5
-"""Number of hot pixels that are listed: the busiest."""
+"""Number of hot pixels that are listed, at most. They are the busiest ones."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,17 +69,17 @@ def main(args: argparse.Namespace) -> int:
     failed = False
     for name in args.what:
         try:
-            report, lines = _described(
-                name, {"sensor": args.sensor, **reading_of(args)}, args.written
+            report, lines = _describe(
+                name, {"sensor": args.sensor, **reading_of(args)}, args.option_names
             )
         except (OSError, ValueError, ImportError, MemoryError) as error:
             if len(args.what) == 1:
                 raise
-            message = message_of(error, args.written)
+            message = message_of(error, args.option_names)
             complain(message if name in message else f"{name}: {message}")
             failed = True
             continue
-        failed |= any("error" in found for found in report.get("recordings", ()))
+        failed |= any("error" in recording for recording in report.get("recordings", ()))
         if args.json:
             say(json.dumps(report))
         else:
@@ -87,8 +87,8 @@ def main(args: argparse.Namespace) -> int:
     return 2 if failed else 0
 
 
-def _described(
-    name: str, reading: Mapping[str, Any], written: Mapping[str, str]
+def _describe(
+    name: str, reading: Mapping[str, Any], option_names: Mapping[str, str]
 ) -> tuple[dict[str, Any], list[str]]:
     """Describe a recording, a folder or a model: as a dict for --json, and as lines of text.
 
@@ -96,66 +96,69 @@ def _described(
     ----------
     name : the recording, the folder or the model, as it was typed.
     reading : arguments of `summarize`.
-    written : parameter -> the option that gives it, for errors.
+    option_names : parameter -> the option that gives it, for errors.
     """
     path = user_path(name)
-    if path.suffix.lower() == ".safetensors" or (name in bundled_models() and not path.exists()):
+    # a file or a folder that has the name of a bundled model is described instead of the model
+    is_bundled = name in bundled_models() and not path.exists()
+    if path.suffix.lower() == ".safetensors" or is_bundled:
         model = load_model(name)
-        return {"model": name, **_of_model(model)}, list(_model_lines(name, model))
+        return {"model": name, **_model_report(model)}, list(_model_lines(name, model))
     if path.is_dir():
-        return _of_folder(path, reading, written)
-    found = summarize(sample_or_path(path), **reading)
-    return asdict(found), list(_recording_lines(found))
+        return _describe_folder(path, reading, option_names)
+    summary = summarize(sample_or_path(path), **reading)
+    return asdict(summary), list(_recording_lines(summary))
 
 
-def _recording_lines(found: RecordingSummary) -> Iterator[str]:
+def _recording_lines(summary: RecordingSummary) -> Iterator[str]:
     """Yield a recording's summary as lines of text."""
-    yield f"{found.recording}: {found.format}, {found.bytes / 1e6:,.1f} MB"
-    for topic in found.topics:
-        is_read = ", which is read" if topic["is_read"] else ""
+    yield f"{summary.recording}: {summary.format}, {summary.bytes / 1e6:,.1f} MB"
+    for topic in summary.topics:
+        mark = ", which is read" if topic["is_read"] else ""
         messages = f"{topic['messages']:,} messages"
-        yield f"  topic      {topic['name']}: {topic['type']}, {messages}{is_read}"
-    if not found.events:
+        yield f"  topic      {topic['name']}: {topic['type']}, {messages}{mark}"
+    if not summary.events:
         yield "  no events"
         return
-    yield _sensor_line(found)
-    seconds = (found.last_us - found.first_us) * 1e-6
-    yield f"  time       {found.first_us:,} to {found.last_us:,} us: {seconds:,.3f} s"
-    rate = f", {found.events / seconds:,.0f} a second" if seconds else ""
-    yield f"  events     {found.events:,}{rate}; {found.on / found.events:.0%} ON"
-    if found.off_sensor:
-        yield f"  off sensor {found.off_sensor:,} more events lie off the sensor and are left out"
-    if found.unsorted:
-        yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
-    yield f"  rate       {_rate_bars(found)} up to {max(found.events_a_second):,.0f} a second"
-    if found.hot_pixels:
-        n_hot = len(found.hot_pixels)
-        share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
-        shown = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in found.hot_pixels[:N_HOT])
-        more = ", ..." if n_hot > N_HOT else ""
-        make = f"{n_hot} make {share:.1%} of the events"
-        yield f"  hot pixels {make}: {shown}{more}; see async-tnt mask"
+    yield _sensor_line(summary)
+    seconds = (summary.last_us - summary.first_us) * 1e-6
+    yield f"  time       {summary.first_us:,} to {summary.last_us:,} us: {seconds:,.3f} s"
+    rate = f", {summary.events / seconds:,.0f} a second" if seconds else ""
+    yield f"  events     {summary.events:,}{rate}; {summary.on / summary.events:.0%} ON"
+    if summary.off_sensor:
+        yield f"  off sensor {summary.off_sensor:,} more events lie off the sensor and are left out"
+    if summary.unsorted:
+        yield f"  unsorted   {summary.unsorted:,} are earlier than the event before them"
+    yield f"  rate       {_rate_bars(summary)} up to {max(summary.events_a_second):,.0f} a second"
+    if summary.hot_pixels:
+        n_hot = len(summary.hot_pixels)
+        share = sum(pixel["events"] for pixel in summary.hot_pixels) / summary.events
+        places = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in summary.hot_pixels[:N_HOT])
+        ellipsis = ", ..." if n_hot > N_HOT else ""
+        activity = f"{n_hot} make {share:.1%} of the events"
+        yield f"  hot pixels {activity}: {places}{ellipsis}; see async-tnt mask"
 
 
-def _sensor_line(found: RecordingSummary) -> str:
+def _sensor_line(summary: RecordingSummary) -> str:
     """A line about a recording's sensor. Without a known sensor, it says how far events reach."""
-    if found.sensor is not None:
-        given = "" if found.sensor_stated else ", as given"
-        return f"  sensor     {format_size(found.sensor)}{given}"
-    strays = "" if found.reach == found.extent else f", and strays {format_size(found.reach)}"
-    reach = f"events reach {format_size(found.extent)}{strays}"
+    if summary.sensor is not None:
+        origin = "" if summary.sensor_stated else ", as given"
+        return f"  sensor     {format_size(summary.sensor)}{origin}"
+    strays = "" if summary.reach == summary.extent else f", and strays {format_size(summary.reach)}"
+    reach = f"events reach {format_size(summary.extent)}{strays}"
     return f"  sensor     not stated; {reach}; for hot pixels give --sensor WxH"
 
 
-def _rate_bars(found: RecordingSummary) -> str:
+def _rate_bars(summary: RecordingSummary) -> str:
     """A row of bars: the rate of events in each part of a recording.
 
     A part with few events still has the lowest bar. Only a part without events has none.
     """
+    # the first character stands for a part without events
     bars = BARS if can_print(BARS, sys.stdout) else ASCII_BARS
-    most = max(found.events_a_second)
+    most = max(summary.events_a_second)
     row = ""
-    for rate in found.events_a_second:
+    for rate in summary.events_a_second:
         height = round(rate / most * (len(bars) - 1))
         if rate > 0:
             height = max(1, height)
@@ -163,8 +166,8 @@ def _rate_bars(found: RecordingSummary) -> str:
     return row
 
 
-def _of_folder(
-    folder: Path, reading: Mapping[str, Any], written: Mapping[str, str]
+def _describe_folder(
+    folder: Path, reading: Mapping[str, Any], option_names: Mapping[str, str]
 ) -> tuple[dict[str, Any], list[str]]:
     """Describe all recordings below a folder: as a dict for --json, and as lines of text.
 
@@ -179,15 +182,15 @@ def _of_folder(
         for path in paths:
             name = f"  {path.relative_to(folder)!s:<32}"
             try:
-                found = summarize(sample_or_path(path), **reading)
-                reports.append(asdict(found))
-                size = "-" if found.sensor is None else format_size(found.sensor)
-                seconds = (found.last_us - found.first_us) * 1e-6
-                lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {found.events:>12,} events")
-                n_events += found.events
+                summary = summarize(sample_or_path(path), **reading)
+                reports.append(asdict(summary))
+                size = "-" if summary.sensor is None else format_size(summary.sensor)
+                seconds = (summary.last_us - summary.first_us) * 1e-6
+                lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {summary.events:>12,} events")
+                n_events += summary.events
             except (OSError, ValueError, ImportError, MemoryError) as error:
                 reports.append({"recording": str(path), "error": str(error)})
-                lines.append(f"{name} cannot be read: {message_of(error, written)}")
+                lines.append(f"{name} cannot be read: {message_of(error, option_names)}")
             bar.update()
     counts = "no folders in it"
     if {*folders} != {"."}:
@@ -196,7 +199,7 @@ def _of_folder(
     return {"folder": str(folder), "folders": folders, "recordings": reports}, [head, *lines]
 
 
-def _of_model(model: Model) -> dict[str, Any]:
+def _model_report(model: Model) -> dict[str, Any]:
     """What a model holds, as --json prints it."""
     return {
         "classes": model.classes,
@@ -215,7 +218,7 @@ def _of_model(model: Model) -> dict[str, Any]:
 def _model_lines(name: str, model: Model) -> Iterator[str]:
     """Yield what a model holds, as lines of text."""
     config = model.config
-    found = _of_model(model)
+    report = _model_report(model)
     yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
 
     grid = f"{format_size(config.sensor)}, grid {format_size(config.grid)}"
@@ -225,20 +228,21 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
         length = f"{config.window_events:,} events"
     yield f"  sensor     {grid}, windows of {length}"
 
-    other_lines = ("sensor", "grid", "window_us", "window_events")
+    # these fields are in the line above
+    named_fields = ("sensor", "grid", "window_us", "window_events")
     settings = [
         f"{key} {value}"
         for key, value in config.to_dict().items()
-        if value and key not in other_lines
+        if value and key not in named_fields
     ]
     yield f"  volume     {'x'.join(map(str, config.shape))}: {', '.join(settings)}"
 
-    layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in found["layers"].items())
+    layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in report["layers"].items())
     yield f"  network    {layers}"
-    per_window = f"{found['multiplications']:,} multiplications a complete window"
-    yield f"  cost       {found['weights']:,} weights, {per_window}"
+    multiplications = f"{report['multiplications']:,} multiplications a complete window"
+    yield f"  cost       {report['weights']:,} weights, {multiplications}"
     if model.places is not None:
-        yield f"  decides    objects, at {found['map'][1]}x{found['map'][0]} places of the sensor"
+        yield f"  decides    objects, at {report['map'][1]}x{report['map'][0]} places of the sensor"
     for key, value in model.record.items():
         if isinstance(value, (str, int, float)):
             yield f"  {key:<10} {value}"

@@ -40,7 +40,7 @@ sensors. A sensor may have up to 2^24 pixels. Exit code 0 also if no pixel is ho
 mask then leaves nothing out.
 """
 MOST_LISTED = 10
-"""Number of hot pixels that are printed, at most: the busiest."""
+"""Number of hot pixels that are printed, at most. They are the busiest ones."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -105,22 +105,22 @@ def _count(
         recordings before it; two recordings have different sensors; or a recording cannot be read.
     """
     counts = np.zeros((), np.int64)  # the first sum below has shape (H, W)
-    given = sensor
+    camera = sensor  # or the sensor of the first recording that states one
     with progress(len(paths), "counting events") as bar:
         for path in paths:
-            recording = open_recording(path, sensor=given, **reading)
+            recording = open_recording(path, sensor=sensor, **reading)
             # a recording that does not state its sensor is taken to have that of an earlier one
-            recording.sensor = recording.sensor or sensor
+            recording.sensor = recording.sensor or camera
             if recording.sensor is None:
                 raise ValueError(
                     f"{path}: the file does not state the camera's sensor; give --sensor WxH"
                 )
-            sensor = sensor or recording.sensor
-            check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has")
+            camera = camera or recording.sensor
+            check_sensor(path, recording.sensor, camera, "--sensor or an earlier recording has")
             try:
-                counts = counts + count_pixels(recording, sensor)
+                counts = counts + count_pixels(recording, camera)
             except ValueError as error:
-                if str(path) in str(error):
+                if str(path) in str(error):  # the error names the recording already
                     raise
                 raise ValueError(f"{path}: {error}") from None
             bar.update()
@@ -135,7 +135,7 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
     counts : int64, (H, W): the number of events of each pixel.
     hot : bool, (H, W): whether a pixel is hot.
     """
-    found = listed_pixels(counts, hot)
+    pixels = listed_pixels(counts, hot)
     n_events = int(counts.sum())
     share = float(counts[hot].sum() / counts.sum())
     height, width = counts.shape
@@ -143,25 +143,25 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         result = {
             "sensor": [width, height],
             "events": n_events,
-            "hot_pixels": found,
+            "hot_pixels": pixels,
             "share": share,
             "out": str(args.out),
         }
         say(json.dumps(result))
         return
     size = format_size((width, height))
-    if not found:
+    if not pixels:
         say(
             f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, "
             "which masks nothing"
         )
         return
-    for pixel in found[:MOST_LISTED]:
+    for pixel in pixels[:MOST_LISTED]:
         say(
             f"x {pixel['x']:>5}  y {pixel['y']:>5}  {pixel['events']:>9} events  "
             f"{pixel['events'] / n_events:6.2%}"
         )
-    if len(found) > MOST_LISTED:
-        say(f"... and {len(found) - MOST_LISTED} more")
-    pixels_word = "1 hot pixel" if len(found) == 1 else f"{len(found)} hot pixels"
-    say(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
+    if len(pixels) > MOST_LISTED:
+        say(f"... and {len(pixels) - MOST_LISTED} more")
+    number_of_pixels = "1 hot pixel" if len(pixels) == 1 else f"{len(pixels)} hot pixels"
+    say(f"{number_of_pixels} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")

@@ -32,21 +32,21 @@ MOST_DIGITS = 4300
 # -- files and models ------------------------------------------------------------------------------
 
 
-def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool = False) -> None:
+def add_files(parser: argparse.ArgumentParser, *, live: bool = False, single: bool = False) -> None:
     """Add FILE and --model.
 
     Parameters
     ----------
     live : whether FILE may also be a camera or udp://..., and the model may be an .onnx file. If
         so, --config is added, too.
-    one : whether at most one FILE may be given.
+    single : whether at most one FILE may be given.
     """
-    bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
+    bundled = "a bundled one by default" if single else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if live else ""
     onnx = ", or an .onnx file of `async-tnt export`" if live else ""
     parser.add_argument(
         "files",
-        nargs="?" if one else "*",
+        nargs="?" if single else "*",
         metavar="FILE",
         type=_live_or_path if live else user_path,
         help=f"{sources}recordings ({READABLE}), or digits of bundled ones, such as 3; {bundled}",
@@ -76,9 +76,9 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
     bundled = list(sample_recordings().values())
     if not args.files:
         return bundled
-    given = args.files if isinstance(args.files, list) else [args.files]
+    files = args.files if isinstance(args.files, list) else [args.files]
     paths: list[Any] = []
-    for file in given:
+    for file in files:
         if isinstance(file, str):  # a camera or the network
             paths.append(file)
         elif file == SAMPLES and not SAMPLES.exists():
@@ -107,21 +107,6 @@ def model_of(name: str) -> Model:
             f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed"
         )
     return load_model(name)
-
-
-def of_windows(model: Model, name: str | Path) -> Model:
-    """Return the model, if it gives each window a class.
-
-    Raises
-    ------
-    ValueError : the model is a map model, which finds objects instead.
-    """
-    if model.places is not None:
-        raise ValueError(
-            f"{name} finds objects, not the class of a window; run, view, plot, evaluate, check, "
-            "bench, export take it"
-        )
-    return model
 
 
 def _live_or_path(text: str) -> str | Path:
@@ -181,15 +166,16 @@ def reading_of(args: argparse.Namespace) -> dict[str, Any]:
 
 def check_reading(args: argparse.Namespace) -> None:
     """Refuse the options of `add_reading` if a source is a camera or a network stream."""
-    given = [args.written[name] for name in reading_of(args)]
-    live = [path for path in paths_of(args) if isinstance(path, str)]
-    if given and live:
-        raise ValueError(f"{', '.join(given)} must come with recordings, got {live[0]}")
+    options = [args.option_names[name] for name in reading_of(args)]
+    live_sources = [path for path in paths_of(args) if isinstance(path, str)]
+    if options and live_sources:
+        raise ValueError(f"{', '.join(options)} must come with recordings, got {live_sources[0]}")
 
 
 def _times(text: str) -> tuple[int, int]:
     """Read `1000,2000` as two times, the first before the second. An argparse type."""
     start, _, end = text.partition(",")
+    # `int` would refuse thousands of digits with an error of its own
     are_numbers = start.isdecimal() and end.isdecimal() and len(text) < 40
     if not are_numbers or int(start) >= int(end):
         raise argparse.ArgumentTypeError(
@@ -254,17 +240,17 @@ def whole_number(text: str, least: int = 0) -> int:
     return int(text)
 
 
-def number(text: str, holds: Callable[[float], bool], rule: str) -> float:
+def number(text: str, is_allowed: Callable[[float], bool], rule: str) -> float:
     """Read a number that keeps a rule.
 
     Parameters
     ----------
-    holds : whether a number keeps the rule.
+    is_allowed : whether a number keeps the rule.
     rule : the rule in words, for the error.
     """
-    with contextlib.suppress(ValueError):
+    with contextlib.suppress(ValueError):  # a text that is not a number keeps no rule
         value = float(text)
-        if holds(value):
+        if is_allowed(value):
             return value
     raise argparse.ArgumentTypeError(f"must be {rule}, got {short(text)}")
 
@@ -282,6 +268,7 @@ def _probability(text: str) -> float:
 def size_of(text: str) -> tuple[int, int]:
     """Read `346x260` as two numbers."""
     width, _, height = text.lower().partition("x")
+    # `int` would refuse thousands of digits with an error of its own
     if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
         raise argparse.ArgumentTypeError(
             f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {short(text)}"
@@ -351,9 +338,9 @@ def volume_of(text: str | None) -> dict[str, Any]:
                 f"must be NAME=VALUE,... with each of {', '.join(FIELDS)} at most once, got "
                 f"{short(part)}"
             )
-        read, rule = FIELDS[name]
+        convert, rule = FIELDS[name]
         try:
-            volume[name] = read(value)
+            volume[name] = convert(value)
         except ValueError:
             raise argparse.ArgumentTypeError(f"{name} must be {rule}, got {short(value)}") from None
     return volume
@@ -404,7 +391,8 @@ def command_words(
 
 def _value_words(name: str, value: Any) -> str:
     """The value of an option, as a user types it. A file is given by its name, without folders."""
-    if isinstance(value, tuple):  # a region, a range, or a size
+    if isinstance(value, tuple):
+        # a region is X,Y,W,H, a range of sizes is MIN-MAX, and any other tuple is WxH
         separator = {"roi": ",", "size": "-"}.get(name, "x")
         value = separator.join(f"{part:g}" for part in value)
     values = value if isinstance(value, list) else [value]

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 # -- text ------------------------------------------------------------------------------------------
-# Everything that a command prints passes through these two functions. Names of files and classes
-# are data: they may contain line breaks, and control characters that a terminal would obey.
+# Everything that a command prints passes through `say` or `note`. Names of files and classes come
+# from outside, so they may contain line breaks, and control characters that a terminal would obey.
 # `printable` escapes both.
 
 
@@ -50,24 +50,24 @@ def can_print(text: str, stream: TextIO) -> bool:
 
 
 def complain(
-    error: BaseException | str, written: Mapping[str, str] | None = None, *, before: str = ""
+    error: BaseException | str, option_names: Mapping[str, str] | None = None, *, prefix: str = ""
 ) -> None:
     """Print an error, a warning or a remark on stderr, as one line.
 
     Parameters
     ----------
-    error, written : see `message_of`.
-    before : text that comes before the message.
+    error, option_names : see `message_of`.
+    prefix : text that comes before the message.
     """
-    note(f"async-tnt: {before}{message_of(error, written)}")
+    note(f"async-tnt: {prefix}{message_of(error, option_names)}")
 
 
-def message_of(error: BaseException | str, written: Mapping[str, str] | None = None) -> str:
-    """The message of an error, in the words of the program.
+def message_of(error: BaseException | str, option_names: Mapping[str, str] | None = None) -> str:
+    """The message of an error, in which parameters have the names of their options.
 
     Parameters
     ----------
-    written : name of a parameter -> the option of the command that gives it: `args.written`.
+    option_names : name of a parameter -> the option that gives it, such as `args.option_names`.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def message_of(error: BaseException | str, written: Mapping[str, str] | None = N
     '--every-us must be at least 1'
     """
     if isinstance(error, ParameterError):
-        return error.text(written)
+        return error.text(option_names)
     if isinstance(error, MemoryError):
         # NumPy says what the memory was for, Python says nothing
         return f"not enough memory. {error}".strip()
@@ -90,7 +90,10 @@ def message_of(error: BaseException | str, written: Mapping[str, str] | None = N
 
 
 def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
-    """Report events that were dropped because they were too late, if there are any."""
+    """Report events that were dropped because they were too late, if there are any.
+
+    `see` names the option or the field that tells the user more.
+    """
     if n_late:
         complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
 
@@ -147,8 +150,8 @@ class DecisionLines:
         window = f"{start_ms:.3f}+{length_ms:.3f}"
         latency = f" {latency_us:>7.1f}" if self.with_latency else ""
         objects = "".join(
-            f"  {found.id}: {found.label} ({found.x:.0f}, {found.y:.0f})"
-            for found in decision.objects or ()
+            f"  {item.id}: {item.label} ({item.x:.0f}, {item.y:.0f})"
+            for item in decision.objects or ()
         )
         return (
             f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  "
@@ -160,11 +163,11 @@ class DecisionLines:
         self, name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None
     ) -> str:
         """A decision as a line of JSON."""
-        about = {"recording": name, **decision.to_dict()}
+        fields = {"recording": name, **decision.to_dict()}
         if self.with_latency:
-            about["latency_us"] = round(latency_us, 3)
+            fields["latency_us"] = round(latency_us, 3)
         if queue is not None:
-            about["delay_us"] = queue.delay_us
-            about["backlog"] = queue.backlog
-            about["n_skipped"] = queue.n_skipped
-        return json.dumps(about)
+            fields["delay_us"] = queue.delay_us
+            fields["backlog"] = queue.backlog
+            fields["n_skipped"] = queue.n_skipped
+        return json.dumps(fields)

@@ -31,15 +31,15 @@ def add_keep_up(parser: argparse.ArgumentParser) -> None:
 
 
 def check_keep_up(args: argparse.Namespace) -> None:
-    """Refuse --keep-up where all sources are recordings."""
+    """Refuse --keep-up if all sources are recordings."""
     if args.keep_up is not None and all(isinstance(path, Path) for path in paths_of(args)):
         raise ValueError(
             "--keep-up belongs to a camera or the network; a recording is never skipped"
         )
 
 
-def find_sources(
-    paths: Sequence[Path | str], pixels: ModelPixels, written: Mapping[str, str] | None = None
+def check_sources(
+    paths: Sequence[Path | str], pixels: ModelPixels, option_names: Mapping[str, str] | None = None
 ) -> None:
     """Check that at least one of these sources can be opened.
 
@@ -49,7 +49,7 @@ def find_sources(
     ----------
     paths : paths of recordings, and names of cameras and network streams.
     pixels : the pixels that the model sees; they must suit the source, too.
-    written : parameter -> the option that gives it, for the errors that are printed.
+    option_names : parameter -> the option that gives it, for the errors that are printed.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def find_sources(
         else:
             return
     for problem in problems[:-1]:
-        complain(problem, written)
+        complain(problem, option_names)
     raise problems[-1]
 
 
@@ -79,7 +79,7 @@ def follow(
     processor: Processor,
     keep_up_ms: int | None,
     take: Callable[[Iterable[Any], KeepUp | None], object],
-    end: Callable[[KeepUp | None], str] = lambda reader: "",
+    end_text: Callable[[KeepUp | None], str] = lambda queue: "",
 ) -> bool:
     """Let `take` read a camera or a network stream, and print the source's counts at the end.
 
@@ -93,8 +93,7 @@ def follow(
         buffer may overflow.
     take : called once, with the packets and with the queue in which they wait; None without
         --keep-up. The packets hold only events of the pixels that the model sees.
-    end : called with the same queue at the end. The text that it returns is printed after the
-        counts.
+    end_text : called with the same queue at the end. Its text is printed after the counts.
     """
     with contextlib.ExitStack() as stack:
         source = open_source(name, pixels.expected)
@@ -121,16 +120,16 @@ def follow(
             counts = source.summary()
             if queue is not None:
                 queue.close()  # packets that still wait are skipped
-                counts += _kept_up(queue)
-            complain(f"{source.name}: {counts}{end(queue)}")
+                counts += _queue_text(queue)
+            complain(f"{source.name}: {counts}{end_text(queue)}")
     return False
 
 
-def _kept_up(queue: KeepUp) -> str:
+def _queue_text(queue: KeepUp) -> str:
     """Text for the counts: what a queue did so that decisions keep up with the events."""
-    found = queue.counters
-    waited_ms = found.longest_wait_us / 1e3
-    text = f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+    counters = queue.counters
+    waited_ms = counters.longest_wait_us / 1e3
+    text = f"; {counters.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
     if queue.slowest > 1:
         text += f", decisions up to {queue.slowest} times rarer"
     return text

@@ -24,14 +24,14 @@ class Parser(argparse.ArgumentParser):
     Attributes
     ----------
     commands : name of a command -> the parser of its options.
-    mistyped : a word of the command line, and what it was probably meant to be; None if no word is
-        mistyped. The message of `error` suggests the correction.
+    correction : a mistyped word of the command line, and the word that was probably meant; None if
+        no word is mistyped. The message of `error` suggests the second word.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.commands: dict[str, Parser] = {}
-        self.mistyped: tuple[str, str] | None = None
+        self.correction: tuple[str, str] | None = None
 
     @property
     def options(self) -> list[str]:
@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
         return [option for action in self._actions for option in action.option_strings]
 
     @property
-    def written(self) -> dict[str, str]:
+    def option_names(self) -> dict[str, str]:
         """The option that gives each parameter, such as "--every-us" for "every_us"."""
         return {
             action.dest: action.option_strings[-1]
@@ -49,17 +49,17 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print a mistake in one line, and end the program with exit code 2."""
-        if self.mistyped is not None:
-            word, meant = self.mistyped
+        if self.correction is not None:
+            word, suggestion = self.correction
             if word in message:
-                message = f"{message}; did you mean {meant}?"
+                message = f"{message}; did you mean {suggestion}?"
             else:
-                message = f"{message}; {word}: did you mean {meant}?"
+                message = f"{message}; {word}: did you mean {suggestion}?"
         self.exit(2, f"{self.prog}: {printable(message)} ({self.prog} --help)\n")
 
 
 def refuse_dashes(parser: Parser, argv: Sequence[str]) -> None:
-    """Refuse --option=--: argparse would give the command an empty list instead of a text."""
+    """Refuse --option=--, for which argparse would give the command an empty list, not a text."""
     for word in _before_files(argv):
         if word.startswith("-") and word.endswith("=--"):
             option = word.removesuffix("=--")
@@ -81,7 +81,7 @@ def refuse_removed(parser: Parser, argv: Sequence[str], removed: Mapping[str, st
             parser.error(f"{name} is no longer an option: {removed[name]}")
 
 
-def mistyped(
+def find_mistyped(
     words: Sequence[str], options: Sequence[str], commands: Sequence[str] = ()
 ) -> tuple[str, str] | None:
     """Find the first word that is nearly an option or a command, but not quite.
@@ -95,16 +95,16 @@ def mistyped(
 
     Returns
     -------
-    The word, and what it was probably meant to be; None if there is no such word.
+    The word, and the word that was probably meant; None if there is no such word.
 
     Examples
     --------
-    >>> mistyped(["a.npz", "--modle", "x"], ["--model", "--out"])
+    >>> find_mistyped(["a.npz", "--modle", "x"], ["--model", "--out"])
     ('--modle', '--model')
 
     The beginning of an option is no mistake, because argparse takes it for the option:
 
-    >>> mistyped(["a.npz", "--mod", "x"], ["--model", "--out"]) is None
+    >>> find_mistyped(["a.npz", "--mod", "x"], ["--model", "--out"]) is None
     True
     """
     for word in _before_files(words):
@@ -112,18 +112,18 @@ def mistyped(
             name = word.partition("=")[0]
             if any(option.startswith(name) for option in options):
                 continue
-            meant = _nearest(name, options, OPTION_LIKENESS)
-            if meant is not None:
-                return name, meant
+            suggestion = _nearest(name, options, OPTION_LIKENESS)
+            if suggestion is not None:
+                return name, suggestion
         elif commands:
             # the first such word is the command, and what follows belongs to it
-            meant = None if word in commands else _nearest(word, commands, COMMAND_LIKENESS)
-            return None if meant is None else (word, meant)
+            suggestion = None if word in commands else _nearest(word, commands, COMMAND_LIKENESS)
+            return None if suggestion is None else (word, suggestion)
     return None
 
 
 def _before_files(words: Iterable[str]) -> Iterator[str]:
-    """The words before `--`. Only files follow it."""
+    """The words before `--`, after which there are only files."""
     return itertools.takewhile(lambda word: word != "--", words)
 
 
@@ -132,7 +132,7 @@ def _is_option(word: str) -> bool:
     return len(word) > 1 and word.startswith("-") and not word[1].isdigit()
 
 
-def _nearest(word: str, known: Sequence[str], likeness: float) -> str | None:
-    """The known word that is most like `word`; None if no known word reaches `likeness`."""
-    found = difflib.get_close_matches(word.lower(), known, n=1, cutoff=likeness)
-    return found[0] if found else None
+def _nearest(word: str, candidates: Sequence[str], likeness: float) -> str | None:
+    """The candidate that is most like `word`; None if no candidate reaches `likeness`."""
+    matches = difflib.get_close_matches(word.lower(), candidates, n=1, cutoff=likeness)
+    return matches[0] if matches else None

@@ -73,15 +73,15 @@ def model_pixels_of(pixels: Pixels, model: Model | TNTConfig) -> ModelPixels:
     return ModelPixels(pixels, model.config.sensor, any_size=model.places is not None)
 
 
-def sensor_to_read(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
-    """The (width, height) of the sensor for which a map model is prepared; None if not known yet.
+def map_model_sensor(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
+    """The (width, height) of the sensor for which a map model is loaded; None if not known yet.
 
     It is the first known one of these sizes: the region with --crop, the size of --sensor, the
     mask's size, the sensor that the first recording states.
     """
-    given = pixels.region or pixels.camera
-    if given is not None:
-        return given
+    chosen = pixels.region or pixels.camera
+    if chosen is not None:
+        return chosen
     paths = paths_of(args)
     if not paths or isinstance(paths[0], str):  # a camera or the network
         return None

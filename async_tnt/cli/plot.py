@@ -81,12 +81,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the window that is drawn, counted from 1 (default: 1)",
     )
     add_reading(parser)
-    volume = parser.add_argument_group("the volume, if other than the model's")
-    add_volume(volume, "the model's; only volume and count can be drawn, always also untransformed")
-    volume.add_argument(
+    volume_group = parser.add_argument_group("the volume, if other than the model's")
+    add_volume(
+        volume_group, "the model's; only volume and count can be drawn, always also untransformed"
+    )
+    volume_group.add_argument(
         "--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds"
     )
-    volume.add_argument(
+    volume_group.add_argument(
         "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file"
     )
 
@@ -97,6 +99,8 @@ def main(args: argparse.Namespace) -> int:
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
     if args.out is None:
+        # The name is not the user's choice, so it may be that of another program's picture. Ours
+        # contains the name of this package.
         check_ours([out], ("async_tnt",))
     subject = subject_of(path, args)
     with styled():
@@ -127,10 +131,10 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     name = args.model or DEFAULT_MODEL
     model = model_of(name)
-    n_events = model.config.window_events
-    if n_events is not None:
+    window_events = model.config.window_events
+    if window_events is not None:
         raise ValueError(
-            f"{name}: windows of a duration can be drawn, but not of {n_events} events"
+            f"{name}: windows of a duration can be drawn, but not of {window_events} events"
         )
     sensor = recording.sensor or model.config.sensor
     recording.sensor = sensor
@@ -145,16 +149,16 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
         return Subject(path.name, recording.read(), model.config, model, name)
 
     if sensor == model.config.sensor:
-        config = _configured(model.config, args)
+        config = _changed_config(model.config, args)
         return Subject(path.name, recording.read(), config, model, name)
     if args.model is not None:
         check_sensor(path, sensor, model.config.sensor)
-    # the default model does not fit: draw the events and the volumes alone
-    config = _configured(model.config.replace(sensor=sensor, grid=sensor), args)
+    # the default model does not fit the sensor, so only events and volumes are drawn
+    config = _changed_config(model.config.replace(sensor=sensor, grid=sensor), args)
     return Subject(path.name, recording.read(), config, None, name)
 
 
-def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
+def _changed_config(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     """The configuration, with the changes of --volume and --window-us.
 
     Raises
@@ -172,6 +176,7 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         raise ValueError(
             f"event volumes and counts can be drawn, but not {kind} (--model, --volume)"
         )
+    # the figure shows both volumes, with the transform and without it
     transform = changes.setdefault("transform", "tnt")
     if transform != "tnt":
         raise ValueError(

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from async_tnt.base.checks import ParameterError
 from async_tnt.base.package import __version__
 from async_tnt.cli.output import complain
-from async_tnt.cli.parser import Parser, mistyped, refuse_dashes, refuse_removed
+from async_tnt.cli.parser import Parser, find_mistyped, refuse_dashes, refuse_removed
 from async_tnt.cli.signals import Signals, handled_by
 
 # Name of a command -> its line of help. The module `cli/NAME.py` of a command has DESCRIPTION,
@@ -62,7 +62,7 @@ def build_parser(argv: Sequence[str]) -> Parser:
     else:
         refuse_dashes(parser.commands[command], argv)
         _add_command(parser.commands[command], command, argv)
-    parser.mistyped = mistyped(argv, parser.options, list(COMMANDS))
+    parser.correction = find_mistyped(argv, parser.options, list(COMMANDS))
     return parser
 
 
@@ -74,11 +74,11 @@ def _add_command(parser: Parser, name: str, argv: Sequence[str]) -> None:
     module = importlib.import_module(f"async_tnt.cli.{name}")
     parser.description = module.DESCRIPTION
     module.add_arguments(parser)
-    parser.set_defaults(main=module.main, written=parser.written)
+    parser.set_defaults(main=module.main, option_names=parser.option_names)
 
     words = argv[argv.index(name) + 1 :]
     refuse_removed(parser, words, getattr(module, "REMOVED", {}))
-    parser.mistyped = mistyped(words, parser.options)
+    parser.correction = find_mistyped(words, parser.options)
 
 
 # -- running a command -----------------------------------------------------------------------------
@@ -89,48 +89,50 @@ def run(argv: Sequence[str]) -> int:
     try:
         code = _run(argv)
     except SystemExit as stopped:  # argparse ends the program: --help, --version, bad usage
-        raise SystemExit(_flushed(int(stopped.code or 0))) from None
-    return _flushed(code)
+        raise SystemExit(_flush(int(stopped.code or 0))) from None
+    return _flush(code)
 
 
 def _run(argv: Sequence[str]) -> int:
     """Run the command, and report its error or the signal that ended it. Returns the exit code."""
     signals = Signals()
     code = 0
-    interrupted = ""
-    written: Mapping[str, str] = {}
-    sys.unraisablehook = signals.report
+    message = ""
+    option_names: Mapping[str, str] = {}
+    sys.unraisablehook = signals.handle_dropped
     try:
         args = _arguments(argv)
-        written = args.written
+        option_names = args.option_names
         code = _run_command(args, signals)
-    except BrokenPipeError:  # the reader of stdout, such as `head`, wants no more: no error
+    except BrokenPipeError:
+        # the reader of stdout, such as `head`, wants no more lines, which is no error
         pass
     except (OSError, ValueError, ParameterError, ImportError, MemoryError) as error:
-        complain(error, written)
+        complain(error, option_names)
         code = 2
     except KeyboardInterrupt as error:
-        interrupted = str(error)
-        # The first signal in this list decides the exit code. This SIGINT decides only if the list
-        # was empty: then `signals.interrupt` did not raise the KeyboardInterrupt.
-        signals.received.append(signal.SIGINT)
+        message = str(error)
+        # The first number in `signals.numbers` decides the exit code. If `signals.interrupt` raised
+        # this error, it has noted its signal there, and the number that is added here changes
+        # nothing. Otherwise the error counts as SIGINT.
+        signals.numbers.append(signal.SIGINT)
     except Exception:
         # If a signal came, C code has turned our KeyboardInterrupt into this error.
-        if not signals.received:
+        if not signals.numbers:
             raise
     finally:
-        sys.unraisablehook = signals.hook
+        sys.unraisablehook = signals.previous_hook
 
-    if signals.received:
-        return _code_after_signal(signals.received[0], code, interrupted)
+    if signals.numbers:
+        return _code_after_signal(signals.numbers[0], code, message)
     return code
 
 
 def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     """The parsed command line, with two more fields.
 
-    `main` is the function of the command. `written` maps the name of a parameter to the option that
-    gives it, for errors.
+    `main` is the function of the command. `option_names` maps the name of a parameter to the option
+    that gives it, for errors.
     """
     parser = build_parser(argv)
     args, unknown = parser.parse_known_args(argv)
@@ -144,34 +146,34 @@ def _run_command(args: argparse.Namespace, signals: Signals) -> int:
 
     Meanwhile warnings are printed, and signals that end the command raise KeyboardInterrupt.
     """
-    with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.before:
+    with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.previous_handlers:
         # A warning, such as about a damaged recording, is printed in one line, without its place in
         # the code.
-        warnings.showwarning = lambda message, *where: complain(
-            message, args.written, before="warning: "
+        warnings.showwarning = lambda message, *place: complain(
+            message, args.option_names, prefix="warning: "
         )
         gc.enable()
         return int(args.main(args))
 
 
-def _code_after_signal(number: int, code: int, interrupted: str) -> int:
+def _code_after_signal(number: int, code: int, message: str) -> int:
     """Report the signal that ended a command. Returns the exit code.
 
-    The signal is not reported if the command has failed: its error was reported already.
+    If the command has failed, its error was reported already, and the signal is not reported.
 
     Parameters
     ----------
     number : number of the signal.
     code : the exit code of the command.
-    interrupted : the command's own words about its interruption; "" if it has none.
+    message : the command's own message about its interruption; "" if it has none.
     """
     if code < 2:
-        usual = "interrupted" if number == signal.SIGINT else "terminated"
-        complain(interrupted or usual)
+        default_message = "interrupted" if number == signal.SIGINT else "terminated"
+        complain(message or default_message)
     return 128 + number
 
 
-def _flushed(code: int) -> int:
+def _flush(code: int) -> int:
     """Flush stdout. Returns the exit code: `code`, or 2 if stdout cannot be written.
 
     A closed pipe is no error. Python would also flush stdout when it ends, but if that failed, the
@@ -183,6 +185,7 @@ def _flushed(code: int) -> int:
         if code < 2 and not isinstance(error, BrokenPipeError):
             complain(error)
             code = 2
-        # Python flushes the rest of the buffer when it ends: it goes to /dev/null, without an error
+        # Python flushes the rest of the buffer when it ends. The rest then goes to /dev/null, so
+        # that there is no second error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code

@@ -63,7 +63,8 @@ LEAST_COLUMNS = 9
 LEAST_ROWS = 5
 """A picture with fewer rows is not shown."""
 BLOCKS = " ▀▄█"
-"""Characters that show two pixels, one above the other. Lit: none, the upper, the lower, both."""
+"""Characters that show two pixels, one above the other. The lit pixels are: neither, the upper one,
+the lower one, both."""
 ASCII_BLOCKS = " '.#"
 """Characters that replace `BLOCKS` if the terminal's encoding lacks them."""
 
@@ -116,7 +117,8 @@ def main(args: argparse.Namespace) -> int:
         return _record(source, args.label, folder, args.seconds)
     finally:
         source.close()
-        # remove the folder if it is empty: `train` would refuse a class without recordings
+        # An empty folder is removed, because `train` would refuse a class without recordings. A
+        # folder with files stays, because `rmdir` refuses it.
         with contextlib.suppress(OSError):
             folder.rmdir()
 
@@ -128,8 +130,8 @@ def _class_name(text: str) -> str:
     `train` leaves out such folders.
     """
     is_plain = text != "" and Path(text).name == text and text.isprintable()
-    is_seen = text == text.strip() and not text.startswith(".")
-    if not is_plain or not is_seen or len(text.encode()) > LONGEST_NAME:
+    is_listed = text == text.strip() and not text.startswith(".")
+    if not is_plain or not is_listed or len(text.encode()) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
             f"must be the name of a folder: printable, of at most {LONGEST_NAME} bytes, without "
             f"slashes, and with no dot or blank before it; got {short(text)}"
@@ -154,7 +156,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
     lines: list[str] = []
     problems: list[OSError] = []
 
-    def completed(file: DatFile) -> None:
+    def on_complete(file: DatFile) -> None:
         """Write the description of a recording, and keep the line to print about it at the end."""
         about = {
             "source": source.name,
@@ -176,19 +178,20 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
             problems.append(error)
 
     as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compile before the time begins
-    with _ended_in_time(source, seconds):
+    with _closed_in_time(source, seconds):
         complain(f"recording {label} from {source.name} into {folder}; Ctrl-C stops")
         try:
-            with DatWriter(source.sensor, lambda: _new_file(folder), completed) as writer:
+            with DatWriter(source.sensor, lambda: _new_file(folder), on_complete) as writer:
                 for packet in source:
                     events = as_events(packet, source.sensor)
                     writer.write(events)
                     picture.show(events)
         except OSError as error:
-            # the camera was unplugged, or the disk is full: what came before is kept
+            # The camera was unplugged, or the disk is full. What came before is kept.
             problems.append(error)
         finally:
-            # The lines are printed last: a terminal that is gone must not end the recording.
+            # The lines are printed last, so that a terminal that is gone does not end the
+            # recording.
             if lines:
                 say(*lines)
         for problem in problems:
@@ -200,46 +203,46 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
 
 
 @contextlib.contextmanager
-def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
+def _closed_in_time(source: Any, seconds: float | None) -> Iterator[None]:
     """Close the source after `seconds`, or at a signal such as Ctrl-C.
 
     Signals do not interrupt the block. After the block, the first signal that came has its usual
-    effect. `seconds` None: only a signal closes the source.
+    effect. If `seconds` is None, only a signal closes the source.
     """
-    # a SimpleQueue: a signal handler may call `put` while another call of `put` is running
-    asked: SimpleQueue[int] = SimpleQueue()
-    signals: list[int] = []
+    # a SimpleQueue, because a signal handler may call `put` while another call of `put` is running
+    requests: SimpleQueue[int] = SimpleQueue()
+    signal_numbers: list[int] = []
 
-    def close_when_asked() -> None:
+    def close_at_request() -> None:
         with contextlib.suppress(Empty):
-            asked.get(timeout=seconds)
+            requests.get(timeout=seconds)
         source.close()
 
-    def ask(number: int, frame: FrameType | None) -> None:
-        signals.append(number)
-        asked.put(number)
+    def request_close(number: int, frame: FrameType | None) -> None:
+        signal_numbers.append(number)
+        requests.put(number)
 
     # `close` waits until a running read has ended. A signal handler may run in the middle of that
     # read, and would wait forever. So a thread closes the source.
-    closing = threading.Thread(target=close_when_asked, name="async_tnt.record", daemon=True)
-    closing.start()
+    thread = threading.Thread(target=close_at_request, name="async_tnt.record", daemon=True)
+    thread.start()
     try:
-        with handled_by(ask):
+        with handled_by(request_close):
             try:
                 yield
             finally:
-                asked.put(0)
-                closing.join()
+                requests.put(0)
+                thread.join()
     finally:
-        if signals:
-            signal.raise_signal(signals[0])
+        if signal_numbers:
+            signal.raise_signal(signal_numbers[0])
 
 
 def _new_file(folder: Path) -> io.FileIO:
     """Create a file named by the time, and open it. No other process gets the same file."""
-    now = time.strftime("%Y%m%d_%H%M%S")
+    time_text = time.strftime("%Y%m%d_%H%M%S")
     for n in itertools.count(1):
-        stem = now if n == 1 else f"{now}_{n}"
+        stem = time_text if n == 1 else f"{time_text}_{n}"
         is_free = not any(folder.glob(f"{stem}.*"))
         if is_free:
             # another process may have created this file meanwhile
@@ -274,7 +277,7 @@ class _Picture:
         # shows two pixels, one above the other.
         self._counts = np.zeros((2 * self._rows, self._columns), np.int64)
         self._n_events = 0
-        self._is_drawn = False
+        self._has_picture = False
         self._started_s = time.monotonic()
         self._drawn_s = self._started_s
 
@@ -291,17 +294,18 @@ class _Picture:
         now_s = time.monotonic()
         if now_s >= self._drawn_s + EVERY_S:
             self._draw(now_s)
-            self._is_drawn = True
+            self._has_picture = True
             self._drawn_s = now_s
             self._n_events = 0
             self._counts[:] = 0
 
     def _draw(self, now_s: float) -> None:
         """Write a picture over the previous one."""
+        # A lit pixel has more events than the mean pixel, and more than one.
         lit = self._counts > max(1.0, self._counts.mean())
         upper = lit[::2]
         lower = lit[1::2]
-        blocks = (upper + 2 * lower).tolist()
+        blocks = (upper + 2 * lower).tolist()  # indices of `BLOCKS`
         lines = ["".join(self._blocks[block] for block in row) for row in blocks]
 
         rate = self._n_events / (now_s - self._drawn_s)
@@ -310,8 +314,8 @@ class _Picture:
         lines.append(caption.ljust(self._columns))
 
         # moves the cursor up to the first line of the previous picture
-        up = f"\x1b[{len(lines)}A" if self._is_drawn else ""
+        cursor_up = f"\x1b[{len(lines)}A" if self._has_picture else ""
         # the recording goes on if the terminal is gone
         with contextlib.suppress(OSError, ValueError):
-            sys.stderr.write(up + "".join(f"\r{line}\n" for line in lines))
+            sys.stderr.write(cursor_up + "".join(f"\r{line}\n" for line in lines))
             sys.stderr.flush()

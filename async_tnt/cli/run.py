@@ -23,8 +23,8 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import DecisionLines, complain, complain_late, message_of, say
-from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
-from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, sensor_to_read
+from async_tnt.cli.packets import add_keep_up, check_keep_up, check_sources, follow
+from async_tnt.cli.pixel_options import add_pixels, map_model_sensor, model_pixels_of, pixels_of
 from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.compile_ahead import must_compile
@@ -93,7 +93,7 @@ class _Run:
     engine : the model, and what computes it.
     processor : the Processor, which is reset before each source.
     pixels : the pixels whose events count.
-    lines : how decisions are printed.
+    lines : prints the decisions.
     """
 
     engine: Engine
@@ -106,7 +106,7 @@ def main(args: argparse.Namespace) -> int:
     """Run `async-tnt run`. Returns the exit code."""
     check_keep_up(args)
     check_reading(args)
-    run = _prepared(args)
+    run = _prepare(args)
 
     stopped = False
     failed = False
@@ -129,7 +129,7 @@ def main(args: argparse.Namespace) -> int:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
                 # our output does not fit on its disk, so the error is not about this recording
                 raise
-            message = message_of(error, args.written)
+            message = message_of(error, args.option_names)
             complain(message if str(path) in message else f"{path}: {message}")
             failed = True
 
@@ -140,7 +140,7 @@ def main(args: argparse.Namespace) -> int:
     return 2 if failed else 0
 
 
-def _prepared(args: argparse.Namespace) -> _Run:
+def _prepare(args: argparse.Namespace) -> _Run:
     """Load the model, make the Processor, and check that at least one source can be opened.
 
     Raises
@@ -149,11 +149,11 @@ def _prepared(args: argparse.Namespace) -> _Run:
         options; no source can be opened.
     """
     selection = pixels_of(args)
-    engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
+    engine = choose_engine(args.model, map_model_sensor(selection, args), args.config)
     pixels = model_pixels_of(selection, engine.model)
     if must_compile():
-        # A source that is not there is told before the wait.
-        find_sources(paths_of(args), pixels, args.written)
+        # A missing source is reported before the wait for the compilation.
+        check_sources(paths_of(args), pixels, args.option_names)
     processor = Processor(
         engine.model,
         classes=engine.classes,
@@ -173,47 +173,47 @@ def _prepared(args: argparse.Namespace) -> _Run:
 def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None:
     """Print the decisions of a recording, then the recording's class.
 
-    This is the class with the highest mean probability over the closed windows. It is not printed
-    as JSON, or if the model finds objects.
+    The class of the recording is the one with the highest mean probability over the closed windows.
+    With --json, and for a model that finds objects, only the decisions are printed.
 
     Raises
     ------
     ValueError : no window had an event.
     """
     run.processor.reset()
-    push = _pushed_events if run.lines.with_latency else _pushed_packets
-    closed = []
+    push = _push_events if run.lines.with_latency else _push_packets
+    window_probabilities = []
     has_objects = False
-    for decision, latency_us in _with_end(push(packets, run.processor), run.processor):
+    for decision, latency_us in _with_last_decisions(push(packets, run.processor), run.processor):
         run.lines.print(str(path), decision, latency_us)
         has_objects = decision.objects is not None
         if decision.complete or decision.trigger == "end":
-            closed.append(decision.probabilities)
+            window_probabilities.append(decision.probabilities)
 
-    if closed and not run.lines.as_json and not has_objects:
-        label, words = class_of_recording(run.engine.classes, closed)
-        say(f"{path.name}: {label} ({words})")
+    if window_probabilities and not run.lines.as_json and not has_objects:
+        label, details = class_of_recording(run.engine.classes, window_probabilities)
+        say(f"{path.name}: {label} ({details})")
     counts = run.processor.counts
     complain_late(str(path), counts.dropped_late, counts.received, "--start-us")
-    if not closed:
-        why = "no event in any window" if counts.received else run.pixels.nothing
-        raise ValueError(f"{path}: {why}")
+    if not window_probabilities:
+        reason = "no event in any window" if counts.received else run.pixels.no_events_message
+        raise ValueError(f"{path}: {reason}")
 
 
-def _pushed_packets(
+def _push_packets(
     packets: Iterable[np.ndarray], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
     """Push packets. Yields each decision, and the microseconds of the call that made it."""
     time_unit = TimeUnitCheck(processor.config)
     for packet in packets:
-        handed_over_ns = time.perf_counter_ns()
+        started_ns = time.perf_counter_ns()
         decisions = processor.push(packet)
-        latency_us = (time.perf_counter_ns() - handed_over_ns) / 1e3
+        latency_us = (time.perf_counter_ns() - started_ns) / 1e3
         for decision in time_unit.watch(decisions):
             yield decision, latency_us
 
 
-def _pushed_events(
+def _push_events(
     packets: Iterable[np.ndarray], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
     """Push single events. Yields each decision, and the microseconds of the call that made it."""
@@ -222,23 +222,23 @@ def _pushed_events(
     for packet in packets:
         columns = [packet[field].tolist() for field in ("t", "x", "y", "p")]
         for t, x, y, p in zip(*columns, strict=True):
-            handed_over_ns = clock_ns()
+            started_ns = clock_ns()
             decisions = processor.push_one(t, x, y, p)
             if decisions:
-                latency_us = (clock_ns() - handed_over_ns) / 1e3
+                latency_us = (clock_ns() - started_ns) / 1e3
                 for decision in time_unit.watch(decisions):
                     yield decision, latency_us
 
 
-def _with_end(
-    decided: Iterable[tuple[Decision, float]], processor: Processor
+def _with_last_decisions(
+    earlier_decisions: Iterable[tuple[Decision, float]], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
-    """Yield these decisions, then those of `finish` with the microseconds of that call."""
-    yield from decided
-    handed_over_ns = time.perf_counter_ns()
-    decisions = processor.finish()
-    latency_us = (time.perf_counter_ns() - handed_over_ns) / 1e3
-    for decision in decisions:
+    """Yield the earlier decisions, then those of `finish`, with the microseconds of its call."""
+    yield from earlier_decisions
+    started_ns = time.perf_counter_ns()
+    last_decisions = processor.finish()
+    latency_us = (time.perf_counter_ns() - started_ns) / 1e3
+    for decision in last_decisions:
         yield decision, latency_us
 
 
@@ -257,19 +257,19 @@ def _run_live(run: _Run, name: str, keep_up_ms: int | None) -> bool:
     """
     run.processor.reset()
 
-    def print_all(packets: Iterable[Any], reader: BackgroundReader | None) -> None:
-        for decision, latency_us in _pushed_packets(packets, run.processor):
-            run.lines.print(name, decision, latency_us, reader)
+    def print_all(packets: Iterable[Any], queue: BackgroundReader | None) -> None:
+        for decision, latency_us in _push_packets(packets, run.processor):
+            run.lines.print(name, decision, latency_us, queue)
 
-    def print_end(reader: BackgroundReader | None) -> str:
-        for decision, latency_us in _with_end((), run.processor):
-            run.lines.print(name, decision, latency_us, reader)
+    def print_last_decisions(queue: BackgroundReader | None) -> str:
+        for decision, latency_us in _with_last_decisions((), run.processor):
+            run.lines.print(name, decision, latency_us, queue)
         counts = run.processor.counts
-        moved_off = counts.dropped_outside + counts.dropped_tau_zero
+        n_moved_off = counts.dropped_outside + counts.dropped_tau_zero
         return (
-            f"; {counts.kept:,} kept, {moved_off:,} moved off the grid by the transform, "
+            f"; {counts.kept:,} kept, {n_moved_off:,} moved off the grid by the transform, "
             f"{counts.dropped_late:,} too late for their window, {counts.dropped_decided:,} after "
             "it was decided"
         )
 
-    return follow(name, run.pixels, run.processor, keep_up_ms, print_all, print_end)
+    return follow(name, run.pixels, run.processor, keep_up_ms, print_all, print_last_decisions)

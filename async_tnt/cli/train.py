@@ -88,17 +88,17 @@ def main(args: argparse.Namespace) -> int:
 
 def _check_outputs(outputs: _Outputs) -> None:
     """Refuse to write over the files of another program."""
-    from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES
+    from async_tnt.training.run_folder import CHECKPOINT, HISTORY, RUN_FILES
 
     run_folder = outputs.run_folder
-    # one suffix only: models q.pt and q.safetensors would share the run folder and q.json
+    # one suffix only, because models q.pt and q.safetensors would share the run folder and q.json
     check_writable(outputs.model, (".safetensors",))
     check_ours(
         [outputs.numbers, outputs.curves, outputs.model], ('"held_out"', '"summary"', '"history"')
     )
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not (run_folder / CHECKPOINT).exists():
-        check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
+        check_ours([run_folder / HISTORY], ('"settings"', '"history"'))
 
 
 def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
@@ -121,13 +121,18 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
         raise FileNotFoundError(
             f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither"
         )
-    parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()]
-    if not parts:
-        parts = [args.dataset]
-    for part in parts:
-        if run_folder.resolve().is_relative_to(part.resolve()):
+    class_roots = [
+        args.dataset / class_root
+        for class_root in ("Train", "Test")
+        if (args.dataset / class_root).is_dir()
+    ]
+    if not class_roots:
+        class_roots = [args.dataset]
+    for class_root in class_roots:
+        if run_folder.resolve().is_relative_to(class_root.resolve()):
             raise ValueError(
-                f"--out must lie outside of {part}, in which a folder is a class; got {args.out}"
+                f"--out must lie outside of {class_root}, in which a folder is a class; got "
+                f"{args.out}"
             )
 
 
@@ -214,7 +219,8 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
     )
     plan.check()
     split = Split(args.validation, args.groups, args.test, args.seed)
-    camera = _camera(args, volume.config.window_us)
+    camera = _measured_camera(args, volume.config.window_us)
+    # with --crop, the sensor of --sensor is the camera's, and not that of the events
     plan.check_run(run_folder, None if pixels.crop else pixels.sensor)
     data = dataset_data(
         args.dataset,
@@ -245,7 +251,7 @@ def _check_volume(args: argparse.Namespace, transform: str) -> None:
         raise ValueError("--volume: landmark and t_max need transform=tnt")
 
 
-def _camera(args: argparse.Namespace, window_us: int) -> MeasuredPixels | None:
+def _measured_camera(args: argparse.Namespace, window_us: int) -> MeasuredPixels | None:
     """Measure a camera's pixels in the recording of --camera; None without this option."""
     from async_tnt.training.simulated_pictures import measure_camera
 
@@ -299,17 +305,17 @@ def _other_motions(
 
 def _note_motions(record: dict[str, Any]) -> None:
     """Print in how many windows a motion was found, and how well simulation matches recordings."""
-    from async_tnt.resynthesis.calibration import side_by_side, unlike
+    from async_tnt.resynthesis.calibration import differing_numbers, side_by_side
 
-    text = f"motion found in {record['with_path']} of {record['windows']} windows"
+    summary = f"motion found in {record['with_path']} of {record['windows']} windows"
     if record["with_neighbours"]:
-        text += f", in {record['with_neighbours']} only with those beside them"
-    text += "; the others are used as recorded only"
+        summary += f", in {record['with_neighbours']} of them only with the neighbouring windows"
+    summary += "; the other windows are used only as recorded"
     if record["without_path"]:
         reasons = [f"{reason} {n}" for reason, n in record["without_path"].items()]
-        text += f" ({', '.join(reasons)})"
+        summary += f" ({', '.join(reasons)})"
     note(
-        text,
+        summary,
         "recorded windows, and the same motion simulated again:",
         *side_by_side(record["match"]).splitlines(),
     )
@@ -319,11 +325,12 @@ def _note_motions(record: dict[str, Any]) -> None:
             "which one object moves as a whole by two pixels and more, with a few hundred events: "
             "try another --window-us, or --roi with --crop"
         )
-    names = unlike(record["match"])
+    names = differing_numbers(record["match"])
     if names:
         note(
-            f"warning: recorded and simulated windows differ in {', '.join(names)}: compare "
-            "motions.png, and held out"
+            f"warning: recorded and simulated windows differ in {', '.join(names)}. Compare "
+            "them in motions.png, and compare the accuracy on what is held out with that of "
+            "--motions recorded"
         )
 
 
@@ -341,8 +348,8 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
         nonlocal printed_s
         now_s = time.monotonic()
         is_last = row["epoch"] >= n_epochs
-        is_early = printed_s is not None and printed_s > now_s - 1.0
-        if is_early and not is_last:
+        is_too_soon = printed_s is not None and printed_s > now_s - 1.0
+        if is_too_soon and not is_last:
             return
         printed_s = now_s
         text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
@@ -374,9 +381,9 @@ def _write(fitted: Fitted, data: TrainingData, outputs: _Outputs, args: argparse
     from async_tnt.training.run_folder import plot_curves
 
     # written before the test, which may take long, and once more with the accuracy of the test
-    written = _save(fitted, data, outputs)
+    paths = _save(fitted, data, outputs)
     if plot_curves(fitted.history, outputs.curves):
-        written.append(outputs.curves)
+        paths.append(outputs.curves)
     else:
         note("no picture of curves: matplotlib is not installed (pip install 'async_tnt[plot]')")
     if data.tests:
@@ -385,7 +392,7 @@ def _write(fitted: Fitted, data: TrainingData, outputs: _Outputs, args: argparse
         _save(fitted, data, outputs)
     for line in data.left_out:  # printed once more, because the first time may be hours ago
         note(f"left out: {line}")
-    print_summary(fitted, args.out, written, as_json=args.json)
+    print_summary(fitted, args.out, paths, as_json=args.json)
 
 
 def _save(fitted: Fitted, data: TrainingData, outputs: _Outputs) -> list[Path]:
@@ -396,6 +403,6 @@ def _save(fitted: Fitted, data: TrainingData, outputs: _Outputs) -> list[Path]:
         "summary": fitted.model.record,
         "history": fitted.history,
     }
-    # written first: by this file, `_check_outputs` knows later that the model is ours
+    # written first, because `_check_outputs` knows by this file that the model is ours
     write_text(outputs.numbers, json.dumps(numbers, indent=1))
     return [fitted.model.save(outputs.model), outputs.numbers]

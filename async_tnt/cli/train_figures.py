@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
-    """Draw some windows under other motions. Without any, or without matplotlib, draw nothing."""
+    """Draw some windows under other motions.
+
+    Nothing is drawn if no motion was found in any window, or if matplotlib is not installed.
+    """
     if find_spec("matplotlib") is None or not motions.spans.any():
         return
     from async_tnt.training.resynthesis import examples

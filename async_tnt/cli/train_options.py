@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
     _add_held_out(parser.add_argument_group("what is held out"))
-    _add_seen(parser.add_argument_group("what is learned from"))
+    _add_training_data(parser.add_argument_group("what is learned from"))
     _add_pictures(parser.add_argument_group("how pictures are recorded"))
     _add_network(parser.add_argument_group("volume and network"))
 
@@ -94,7 +94,7 @@ def _add_held_out(group: argparse._ActionsContainer) -> None:
     group.add_argument("--test", action="store_true", help="at the end, classify the folder Test")
 
 
-def _add_seen(group: argparse._ActionsContainer) -> None:
+def _add_training_data(group: argparse._ActionsContainer) -> None:
     """Add the options that say what is learned from."""
     add_selection(group)
     group.add_argument(

@@ -12,7 +12,7 @@ from async_tnt.cli.output import say
 if TYPE_CHECKING:
     from async_tnt.training.fitting import Fitted
 
-FEW = 20
+FEW_RECORDINGS = 20
 """If every class has fewer held-out recordings, the windows of each class are reported, too."""
 TITLES = {
     "validation": "held out",
@@ -22,14 +22,14 @@ TITLES = {
 """Part of a model's record -> the title under which it is printed."""
 
 
-def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bool) -> None:
+def print_summary(fitted: Fitted, out: Path, paths: list[Path], *, as_json: bool) -> None:
     """Print how good a model is, and the files that were written.
 
     Parameters
     ----------
     fitted : the model, and its scores on what was held out.
     out : the model's file.
-    written : all files that were written.
+    paths : all files that were written.
     as_json : whether to print the model's record instead, as JSON.
     """
     record = fitted.model.record
@@ -38,6 +38,7 @@ def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bo
         return
     for name, title in TITLES.items():
         if name in record:
+            # only the validation part has simulated recordings of pictures
             pictures = record["data"].get("pictures") if name == "validation" else None
             say(f"{title}: {_accuracy(record[name], pictures)}")
     say(
@@ -45,38 +46,41 @@ def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bo
         f"window; temperature {record.get('temperature', 1):.3f}"
     )
     if fitted.scores is not None:
-        _print_few(fitted.scores)
+        _print_classes(fitted.scores)
     if "held_out_in_time" in record["data"]:
         say(
             "held out in time: of the sessions that were learned from; only another session tells "
             "how well it works"
         )
-    say(f"wrote {', '.join(map(str, written))}")
+    say(f"wrote {', '.join(map(str, paths))}")
 
 
-def _accuracy(found: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> str:
+def _accuracy(scores: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> str:
     """The accuracy in one part of a model's record, as text.
 
     Parameters
     ----------
-    found : the part of the record.
+    scores : the part of the record.
     pictures : the record of the pictures, if this part has simulated recordings of pictures.
     """
-    if "f1" in found:
-        early = [f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items()]
-        return f"F1 {found['f1']:.4f} of {found['objects']} objects in scenes ({', '.join(early)})"
-    text = f"{found['per_window']:.4f} of {found['windows']} windows"
-    if "recordings" in found:
-        text += f", {found['per_recording']:.4f} of {found['recordings']} recordings"
+    if "f1" in scores:
+        early_scores = [
+            f"{f1:.4f} after {ms} ms" for ms, f1 in scores["f1_against_time_ms"].items()
+        ]
+        f1_text = f"F1 {scores['f1']:.4f} of {scores['objects']} objects in scenes"
+        return f"{f1_text} ({', '.join(early_scores)})"
+    text = f"{scores['per_window']:.4f} of {scores['windows']} windows"
+    if "recordings" in scores:
+        text += f", {scores['per_recording']:.4f} of {scores['recordings']} recordings"
     if pictures:
         text += f" (simulated ones: of {pictures['held_out']} pictures)"
     return f"{text} right"
 
 
-def _print_few(scores: Mapping[str, Any]) -> None:
+def _print_classes(scores: Mapping[str, Any]) -> None:
     """Print how many windows of each class are right, if few recordings of each are held out."""
     n_recordings = [sum(row) for row in scores["confusion"]]
-    if max(n_recordings) >= FEW:
+    if max(n_recordings) >= FEW_RECORDINGS:
         return
     for k, name in enumerate(scores["classes"]):
         windows = scores["window_confusion"][k]

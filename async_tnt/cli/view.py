@@ -23,8 +23,8 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
-from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, sensor_to_read
+from async_tnt.cli.packets import add_keep_up, check_keep_up, check_sources, follow
+from async_tnt.cli.pixel_options import add_pixels, map_model_sensor, model_pixels_of, pixels_of
 from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.playback import replay
 from async_tnt.sources.files.recording import Recording
@@ -60,16 +60,16 @@ stops that. Needs rerun-sdk (extra `view`); a camera needs the extra `cameras`.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_files(parser, live=True, one=True)
+    add_files(parser, live=True, single=True)
     add_start(parser)
     add_triggers(parser)
     add_pixels(parser)
     add_reading(parser)
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
+    destination = parser.add_mutually_exclusive_group()
+    destination.add_argument(
         "--out", type=user_path, metavar="FILE.rrd", help="write a file for the viewer instead"
     )
-    where.add_argument(
+    destination.add_argument(
         "--connect", metavar="URL", help="show it in a running viewer: rerun+http://HOST:9876/proxy"
     )
     parser.add_argument(
@@ -95,8 +95,8 @@ def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
     check_reading(args)
     path = paths_of(args)[0]
-    live = isinstance(path, str)
-    if args.speed is not None and live:
+    is_live = isinstance(path, str)
+    if args.speed is not None and is_live:
         raise ValueError(
             "--speed belongs to recordings; a camera or the network has a pace of its own"
         )
@@ -106,23 +106,23 @@ def main(args: argparse.Namespace) -> int:
         check_writable(args.out, SUFFIXES)
 
     selection = pixels_of(args)
-    engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
+    engine = choose_engine(args.model, map_model_sensor(selection, args), args.config)
     pixels = model_pixels_of(selection, engine.model)
-    opened = None if live else pixels.open(path, **reading_of(args))
+    recording_and_select = None if is_live else pixels.open(path, **reading_of(args))
     speed = args.speed
     if speed is None:
         speed = 1.0 if args.out is None else math.inf
     if must_compile():
-        # A source that is not there is told before the wait.
-        find_sources([path], pixels)
+        # A missing source is reported before the wait for the compilation.
+        check_sources([path], pixels)
 
     view = RerunView(
         engine.model,
         out=args.out,
         connect=args.connect,
         picture_us=args.picture_us,
-        live=live,
-        name=path if live else path.name,
+        live=is_live,
+        name=path if is_live else path.name,
         classes=engine.classes,
         start_us=args.start_us,
         classifier=engine.classifier,
@@ -130,7 +130,7 @@ def main(args: argparse.Namespace) -> int:
     )
     stopped = False
     with view:
-        if opened is None:
+        if recording_and_select is None:
             stopped = follow(
                 path,
                 pixels,
@@ -139,11 +139,11 @@ def main(args: argparse.Namespace) -> int:
                 lambda packets, _: _push_all(packets, view),
             )
         else:
-            _show(*opened, view, speed)
+            _show(*recording_and_select, view, speed)
 
     n_events = view.processor.counts.received
     if not n_events and not stopped:
-        raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
+        raise ValueError(f"{path}: {pixels.no_events_message}, nothing to show")
     # a file without events is not written
     if args.out is not None and n_events:
         say(

@@ -17,7 +17,7 @@ from async_tnt.volume.config import TNTConfig
 N_MOMENTS = 10
 """Number of moments in a window for which a table says how many decisions are right."""
 PER_MOMENT = 5
-"""Number of decisions from one of these moments to the next."""
+"""Number of decisions from one of the `N_MOMENTS` moments to the next."""
 LEVELS = 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99
 """Levels of confidence. A table says when a decision first reaches each of these probabilities."""
 FIELDS = ("decided_at", "probability_at", "confident", "confident_us")
@@ -50,8 +50,8 @@ def moments(config: TNTConfig) -> list[int]:
     step_us = every_us(config)
     if step_us is None:
         return []
-    inside = [PER_MOMENT * step_us * k for k in range(1, N_MOMENTS)]
-    return [*inside, config.window_us]
+    inner_ends = [PER_MOMENT * step_us * k for k in range(1, N_MOMENTS)]
+    return [*inner_ends, config.window_us]
 
 
 def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any]:
@@ -69,13 +69,23 @@ def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any
     confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches the
         level, and when this decision was due, see `due_us`.
     """
-    at = [decision_at(window, moment) for moment in moments(config)]
-    first = [_first_at(window, level) for level in LEVELS]
+    decisions_at_moments = [decision_at(window, moment) for moment in moments(config)]
+    confident_decisions = [_first_at(window, level) for level in LEVELS]
     return {
-        "decided_at": [NO_DECISION if d is None else d.index for d in at],
-        "probability_at": [float(NO_DECISION) if d is None else float(d.probability) for d in at],
-        "confident": [NO_DECISION if d is None else d.index for d in first],
-        "confident_us": [NO_DECISION if d is None else due_us(d, config) for d in first],
+        "decided_at": [
+            NO_DECISION if decision is None else decision.index for decision in decisions_at_moments
+        ],
+        "probability_at": [
+            float(NO_DECISION) if decision is None else float(decision.probability)
+            for decision in decisions_at_moments
+        ],
+        "confident": [
+            NO_DECISION if decision is None else decision.index for decision in confident_decisions
+        ],
+        "confident_us": [
+            NO_DECISION if decision is None else due_us(decision, config)
+            for decision in confident_decisions
+        ],
     }
 
 
@@ -103,7 +113,7 @@ def due_us(decision: Decision, config: TNTConfig) -> int:
 
 
 def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
-    """The newest decision that was made of events before a moment alone; None if there is none.
+    """The newest decision that was made only of events before a moment; None if there is none.
 
     If no event came since the previous moment, there is no new decision. Then the previous decision
     still holds.
@@ -159,52 +169,64 @@ def early_report(
     }
 
     against_time = [
-        {"time_us": us, "accuracy": _share(decided == truth), "decided": _share(decided >= 0)}
-        for us, decided in zip(after_us, columns["decided_at"].T, strict=True)
+        {
+            "time_us": time_us,
+            "accuracy": _share(classes == truth),
+            "decided": _share(classes != NO_DECISION),
+        }
+        for time_us, classes in zip(after_us, columns["decided_at"].T, strict=True)
     ]
 
-    at_the_end = columns["decided_at"][:, -1]
+    # the last moment is the window's end
+    end_classes = columns["decided_at"][:, -1]
     levels = zip(LEVELS, columns["confident"].T, columns["confident_us"].T, strict=True)
     confidence = [
-        _confidence_row(level, classes, us, at_the_end, truth) for level, classes, us in levels
+        _confidence_row(level, classes, time_us, end_classes, truth)
+        for level, classes, time_us in levels
     ]
 
-    decided = columns["decided_at"] >= 0
+    has_decision = columns["decided_at"] != NO_DECISION
     is_right = columns["decided_at"] == truth[:, np.newaxis]
-    bins, error = calibration_of(columns["probability_at"][decided], is_right[decided])
+    calibration, calibration_error = calibration_of(
+        columns["probability_at"][has_decision], is_right[has_decision]
+    )
     return {
         "accuracy_against_time": against_time,
         "confidence": confidence,
-        "calibration": bins,
-        "calibration_error": error,
+        "calibration": calibration,
+        "calibration_error": calibration_error,
     }
 
 
 def _confidence_row(
-    level: float, classes: np.ndarray, us: np.ndarray, at_the_end: np.ndarray, truth: np.ndarray
+    level: float,
+    classes: np.ndarray,
+    times_us: np.ndarray,
+    end_classes: np.ndarray,
+    truth: np.ndarray,
 ) -> dict[str, Any]:
     """The row of one level in the table `confidence` of `early_report`.
 
     Parameters
     ----------
-    classes, us : for each window, the class of the first decision that reaches the level, or -1,
-        and when this decision was due.
-    at_the_end : for each window, the class that is decided at its end.
+    classes, times_us : for each window, the class of the first decision that reaches the level, or
+        `NO_DECISION`, and when this decision was due.
+    end_classes : for each window, the class that is decided at its end.
     truth : for each window, the true class.
     """
-    reached = classes >= 0
-    decided = np.where(reached, classes, at_the_end)
+    has_reached = classes != NO_DECISION
+    final_classes = np.where(has_reached, classes, end_classes)
     row: dict[str, Any] = {
         "level": level,
-        "decided": _share(reached),
+        "decided": _share(has_reached),
         "accuracy": None,
         "median_ms": None,
         "p90_ms": None,
-        "window_accuracy": _share(decided == truth),
+        "window_accuracy": _share(final_classes == truth),
     }
-    if reached.any():
-        after_ms = us[reached] / 1e3
-        row["accuracy"] = _share((classes == truth)[reached])
+    if has_reached.any():
+        after_ms = times_us[has_reached] / 1e3
+        row["accuracy"] = _share((classes == truth)[has_reached])
         row["median_ms"] = float(np.quantile(after_ms, 0.5))
         row["p90_ms"] = float(np.quantile(after_ms, 0.9))
     return row

@@ -45,13 +45,13 @@ class Job:
     def id(self) -> str:
         """A checksum of everything that the records depend on: 12 hexadecimal digits."""
         reading = {name: value for name, value in asdict(self.reading).items() if value is not None}
-        about = {
+        content = {
             "version": self.version,
             **self.pixels.about,
             **reading,
             "model_sha256": self.model_sha256,
         }
-        return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def job_of(
 ) -> Job:
     """The job for a model that `load_model` has loaded by this name or path."""
     is_bundled = name_or_path in bundled_models()
-    where = name_or_path if is_bundled else os.path.abspath(user_path(name_or_path))
-    return Job(where, sha256_of(model), pixels=pixels, reading=reading or ReadOptions())
+    location = name_or_path if is_bundled else os.path.abspath(user_path(name_or_path))
+    return Job(location, sha256_of(model), pixels=pixels, reading=reading or ReadOptions())
 
 
 def task_of(
@@ -109,5 +109,5 @@ def task_of(
 
 def sha256_of(model: Model) -> str:
     """The checksum of all that decisions depend on: configuration, classes, layers and weights."""
-    about = [model.config.to_dict(), list(model.classes), model.network]
-    return checksum(model.weights, json.dumps(about, sort_keys=True))
+    content = [model.config.to_dict(), list(model.classes), model.network]
+    return checksum(model.weights, json.dumps(content, sort_keys=True))

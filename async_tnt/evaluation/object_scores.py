@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.evaluation.object_tables import ObjectTable
-from async_tnt.kernels.decisions.objects import CLASS, X, Y
+from async_tnt.kernels.decisions.objects import CLASS, FOUND_SIZE, X, Y
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import Recording
 from async_tnt.streaming.processor import Processor
@@ -30,54 +30,57 @@ class ObjectScores:
 
     Parameters
     ----------
-    there : int64, (K,): number of objects that are there, by the table.
-    found : int64, (K,): number of objects that the model finds.
-    right : int64, (K,): number of found objects that match one that is there, see `score_objects`.
+    n_present : int64, (K,): number of objects that are there, by the table.
+    n_found : int64, (K,): number of objects that the model finds.
+    n_right : int64, (K,): number of found objects that match an object of the table, see
+        `score_objects`.
     """
 
-    there: np.ndarray
-    found: np.ndarray
-    right: np.ndarray
+    n_present: np.ndarray
+    n_found: np.ndarray
+    n_right: np.ndarray
 
     def __add__(self, other: ObjectScores) -> ObjectScores:
         return ObjectScores(
-            self.there + other.there, self.found + other.found, self.right + other.right
+            self.n_present + other.n_present,
+            self.n_found + other.n_found,
+            self.n_right + other.n_right,
         )
 
     @property
     def f1(self) -> float:
-        """The F1 score over all classes: 2 right / (there + found)."""
-        return _f1(self.there.sum(), self.found.sum(), self.right.sum())
+        """The F1 score over all classes: 2 n_right / (n_present + n_found)."""
+        return _f1(self.n_present.sum(), self.n_found.sum(), self.n_right.sum())
 
     def to_dict(self, classes: Sequence[str]) -> dict[str, Any]:
         """The scores as plain values for JSON, over all classes and for each class."""
-        there = int(self.there.sum())
-        found = int(self.found.sum())
-        right = int(self.right.sum())
+        n_present = int(self.n_present.sum())
+        n_found = int(self.n_found.sum())
+        n_right = int(self.n_right.sum())
         per_class = {}
         for k, name in enumerate(classes):
-            there_k = int(self.there[k])
-            found_k = int(self.found[k])
-            right_k = int(self.right[k])
+            n_present_k = int(self.n_present[k])
+            n_found_k = int(self.n_found[k])
+            n_right_k = int(self.n_right[k])
             per_class[name] = {
-                "f1": round(_f1(there_k, found_k, right_k), 5),
-                "objects": there_k,
-                "found": found_k,
-                "right": right_k,
+                "f1": round(_f1(n_present_k, n_found_k, n_right_k), 5),
+                "objects": n_present_k,
+                "found": n_found_k,
+                "right": n_right_k,
             }
         return {
             "f1": round(self.f1, 5),
-            "precision": round(right / max(1, found), 5),
-            "recall": round(right / max(1, there), 5),
-            "objects": there,
-            "found": found,
+            "precision": round(n_right / max(1, n_found), 5),
+            "recall": round(n_right / max(1, n_present), 5),
+            "objects": n_present,
+            "found": n_found,
             "per_class": per_class,
         }
 
 
-def _f1(there: int, found: int, right: int) -> float:
+def _f1(n_present: int, n_found: int, n_right: int) -> float:
     """The F1 score of three counts; 0 if there are no objects at all."""
-    return float(2 * right / max(1, there + found))
+    return float(2 * n_right / max(1, n_present + n_found))
 
 
 def score_objects(
@@ -110,21 +113,22 @@ def score_objects(
     >>> labels = np.array([1, 0])
     >>> middles = np.array([[11.0, 10.0], [30.0, 10.0]])
     >>> scores = score_objects(found, labels, middles, reach=5.0, n_classes=2)
-    >>> scores.there.tolist(), scores.found.tolist(), scores.right.tolist()
+    >>> scores.n_present.tolist(), scores.n_found.tolist(), scores.n_right.tolist()
     ([1, 1], [0, 3], [0, 1])
     """
-    free = np.ones(len(labels), bool)
-    for row in found:
-        offset = (middles - row[[X, Y]]) / reach  # (N, 2)
+    is_free = np.ones(len(labels), bool)
+    for found_object in found:
+        offset = (middles - found_object[[X, Y]]) / reach  # (N, 2)
         distance = np.hypot(offset[:, 0], offset[:, 1])
-        can_be_taken = free & (labels == row[CLASS])
-        distance[~can_be_taken] = np.inf
+        can_match = is_free & (labels == found_object[CLASS])
+        distance[~can_match] = np.inf
+        # a distance of 1 is the edge of the ellipse
         if len(distance) and distance.min() <= 1:
-            free[distance.argmin()] = False
+            is_free[distance.argmin()] = False
     return ObjectScores(
-        there=_counts(labels, n_classes),
-        found=_counts(found[:, CLASS], n_classes),
-        right=_counts(labels[~free], n_classes),
+        n_present=_counts(labels, n_classes),
+        n_found=_counts(found[:, CLASS], n_classes),
+        n_right=_counts(labels[~is_free], n_classes),
     )
 
 
@@ -157,8 +161,8 @@ def score_recording(
     window_us = model.config.window_us
     n_classes = len(model.classes)
     processor = Processor(model, start_us=0)
-    nothing = np.zeros(n_classes, np.int64)
-    scores = dict.fromkeys(SHARES, ObjectScores(nothing, nothing, nothing))
+    zeros = np.zeros(n_classes, np.int64)
+    scores = dict.fromkeys(SHARES, ObjectScores(zeros, zeros, zeros))
 
     times_us, rows_of = zip(*table.moments(), strict=True)
     n_events = 0
@@ -166,11 +170,12 @@ def score_recording(
         processor.reset()
         n_events += len(events)
         stops = np.searchsorted(events["t"], np.multiply(SHARES, window_us))
-        parts = np.split(events, stops)[:-1]  # the last part is empty
+        # the last part is empty, because no event is after the window
+        parts = np.split(events, stops)[:-1]
         for share, part in zip(SHARES, parts, strict=True):
             processor.push(part)
             scores[share] += score_objects(
-                _found_by(processor),
+                _objects_of(processor),
                 table.label[rows],
                 table.middle[rows],
                 table.reach[rows],
@@ -186,11 +191,11 @@ def score_recording(
     return scores
 
 
-def _found_by(processor: Processor) -> np.ndarray:
+def _objects_of(processor: Processor) -> np.ndarray:
     """The objects that a Processor finds in its open window: float64, (M, FOUND_SIZE)."""
     objects = processor.fire().objects or ()
-    rows = [(o.x, o.y, o.probability, o.index, o.id) for o in objects]
-    return np.array(rows, float).reshape(-1, 5)
+    rows = [(item.x, item.y, item.probability, item.index, item.id) for item in objects]
+    return np.array(rows, float).reshape(-1, FOUND_SIZE)
 
 
 def _windows(
@@ -211,17 +216,17 @@ def _windows(
     n_needed = np.maximum.accumulate(_packets_needed(packets, np.array(ends_us), window_us))
     stream = iter(packets)
     n_read = 0
-    kept: list[np.ndarray] = []
-    for end_us, n in zip(ends_us, n_needed.tolist(), strict=True):
+    held_packets: list[np.ndarray] = []
+    for end_us, n_packets in zip(ends_us, n_needed.tolist(), strict=True):
         start_us = end_us - window_us
-        kept = [packet for packet in kept if packet["t"].max() >= start_us]
-        for packet in itertools.islice(stream, n - n_read):
-            still_of_use = packet[packet["t"] >= start_us]
-            if len(still_of_use):
-                kept.append(still_of_use)
-        n_read = n
+        held_packets = [packet for packet in held_packets if packet["t"].max() >= start_us]
+        for packet in itertools.islice(stream, n_packets - n_read):
+            later_events = packet[packet["t"] >= start_us]
+            if len(later_events):
+                held_packets.append(later_events)
+        n_read = n_packets
 
-        events = np.concatenate([np.empty(0, EVENT_DTYPE), *kept])
+        events = np.concatenate([np.empty(0, EVENT_DTYPE), *held_packets])
         events = events[(events["t"] >= start_us) & (events["t"] < end_us)]
         events["t"] -= start_us
         yield events[np.argsort(events["t"], kind="stable")]
@@ -238,10 +243,10 @@ def _packets_needed(
         t_us = np.sort(packet["t"])
         first = np.searchsorted(ends_us, t_us[0], side="right")
         stop = np.searchsorted(ends_us, t_us[-1] + window_us, side="right")
-        # these windows end after the packet's first event, and do not start after its last one
-        near_us = ends_us[first:stop]
-        n_before_start = np.searchsorted(t_us, near_us - window_us)
-        n_before_end = np.searchsorted(t_us, near_us)
+        # only these windows end after the packet's first event and start before or at its last one
+        near_ends_us = ends_us[first:stop]
+        n_before_start = np.searchsorted(t_us, near_ends_us - window_us)
+        n_before_end = np.searchsorted(t_us, near_ends_us)
         has_events = n_before_start < n_before_end
         n_needed[first:stop][has_events] = n
     return n_needed

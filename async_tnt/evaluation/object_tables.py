@@ -1,7 +1,8 @@
 """Tables of the objects that recordings show. A table is a file beside the recording NAME.*.
 
 NAME_objects.csv  A row for each object at a moment. The columns are t, in microseconds, class, and
-                  x, y, the object's middle. Or x, y, w, h: a box with the upper left corner (x, y).
+                  x, y, the object's middle. With the columns w, h, the row is a box, and (x, y) is
+                  its upper left corner.
 NAME_bbox.npy     Prophesee's boxes, with the fields t (or ts), x, y, w, h, class_id. The file may
                   also belong to a recording NAME_td.*. The file `label_map_dictionary.json` beside
                   it names the classes. Without that file, class_id k is the model's class k.
@@ -29,11 +30,12 @@ CSV = "_objects.csv"
 """The end of the name of a table of comma-separated values."""
 BOXES = "_bbox.npy"
 """The end of the name of a file of Prophesee's boxes."""
-OF_BOXES = "_td"
-"""The end of a recording's stem that is not in the name of its boxes: a_td.dat has a_bbox.npy."""
+RECORDING_END = "_td"
+"""The end of a recording's stem that its file of boxes does not have. The boxes of a_td.dat are in
+a_bbox.npy."""
 NAMES_FILE = "label_map_dictionary.json"
 """The file that names the classes of Prophesee's boxes. It lies beside them."""
-WITHIN_PX = 5.0
+POINT_REACH_PX = 5.0
 """The reach, in pixels, of an object that the table gives as a point. The reach of a box is the
 ellipse that touches the box's sides."""
 
@@ -59,13 +61,15 @@ class ObjectTable:
 
     def moments(self) -> Iterator[tuple[int, slice]]:
         """Yield each time at which there are objects, and the rows of these objects."""
-        times, first = np.unique(self.t, return_index=True)
-        for t, begin, end in zip(times.tolist(), first, [*first[1:], len(self.t)], strict=True):
+        times, first_rows = np.unique(self.t, return_index=True)
+        for t, begin, end in zip(
+            times.tolist(), first_rows, [*first_rows[1:], len(self.t)], strict=True
+        ):
             yield t, slice(begin, end)
 
 
 def find_tables(folder: Path) -> list[tuple[Path, Path]]:
-    """The recordings of a folder that have a table, each with the table: (recording, table).
+    """The recordings of a folder that have a table, as pairs (recording, table).
 
     If the folder has a folder `Test`, the recordings are looked for in there.
 
@@ -75,25 +79,25 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
     OSError : the folder does not exist.
     """
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
-    found = []
+    pairs = []
     for path in sorted(folder.iterdir()):
         if not is_recording(path) or path.name.endswith((CSV, BOXES)):
             continue
         csv_table = path.with_name(path.stem + CSV)
-        boxes = path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES)
+        boxes = path.with_name(path.stem.removesuffix(RECORDING_END) + BOXES)
         if csv_table.is_file():
-            found.append((path, csv_table))
+            pairs.append((path, csv_table))
         elif boxes.is_file():
-            found.append((path, boxes))
-    if len({table for _, table in found}) < len(found):
+            pairs.append((path, boxes))
+    if len({table for _, table in pairs}) < len(pairs):
         raise ValueError(
             f"{folder}: recordings that differ in their endings share a table of objects; keep one"
         )
-    if not found:
+    if not pairs:
         raise ValueError(
             f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}"
         )
-    return found
+    return pairs
 
 
 @dataclass(frozen=True)
@@ -126,24 +130,24 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     ValueError : the table is damaged, lacks a column, or has no row of these classes.
     """
     rows = _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
-    known = {name: k for k, name in enumerate(classes)}
-    label = np.array([known.get(name, -1) for name in rows.names], np.int64)
-    unknown, n_unknown = np.unique(rows.names[label < 0], return_counts=True)
-    kept = np.flatnonzero(label >= 0)
-    if not len(kept):
+    index_of = {name: k for k, name in enumerate(classes)}
+    label = np.array([index_of.get(name, -1) for name in rows.names], np.int64)
+    unknown_classes, row_counts = np.unique(rows.names[label < 0], return_counts=True)
+    indices = np.flatnonzero(label >= 0)
+    if not len(indices):
         raise ValueError(f"{path}: no object of the model's classes, {', '.join(classes)}")
-    is_finite = np.isfinite([rows.corner[kept], rows.size[kept]]).all()
-    if not is_finite or rows.size[kept].min() < 0 or rows.t[kept].min() < 0:
+    is_finite = np.isfinite([rows.corner[indices], rows.size[indices]]).all()
+    if not is_finite or rows.size[indices].min() < 0 or rows.t[indices].min() < 0:
         raise ValueError(f"{path}: x, y, w and h must be finite, w, h and t at least 0")
 
-    kept = kept[np.argsort(rows.t[kept], kind="stable")]
-    corner = rows.corner[kept]
-    size = rows.size[kept]
+    indices = indices[np.argsort(rows.t[indices], kind="stable")]
+    corner = rows.corner[indices]
+    size = rows.size[indices]
     is_point = (size == 0).all(1, keepdims=True)
     # a box reaches half a pixel at least
-    reach = np.where(is_point, WITHIN_PX, np.maximum(size / 2, 0.5))
-    counts = {str(name): int(n) for name, n in zip(unknown, n_unknown, strict=True)}
-    return ObjectTable(rows.t[kept], label[kept], corner + size / 2, reach, counts)
+    reach = np.where(is_point, POINT_REACH_PX, np.maximum(size / 2, 0.5))
+    n_rows_of = {str(name): int(n) for name, n in zip(unknown_classes, row_counts, strict=True)}
+    return ObjectTable(rows.t[indices], label[indices], corner + size / 2, reach, n_rows_of)
 
 
 def _read_csv(path: Path) -> _Rows:
@@ -159,11 +163,11 @@ def _read_csv(path: Path) -> _Rows:
             f"{path}: not a table of comma-separated values: {one_line(error)}"
         ) from None
 
-    # A column for a box's side, in any spelling, means that w and h are needed: a table of boxes
-    # must not be read as a table of points.
-    words = {name.strip().lower() for name in columns}
+    # With a column for a box's side, in any spelling, w and h are needed, so that a table of boxes
+    # is not read as a table of points.
+    names = {name.strip().lower() for name in columns}
     needed = ["t", "class", "x", "y"]
-    if words & {"w", "h", "width", "height"}:
+    if names & {"w", "h", "width", "height"}:
         needed += ["w", "h"]
     missing = [name for name in needed if name not in columns]
     if missing:
@@ -172,7 +176,7 @@ def _read_csv(path: Path) -> _Rows:
             f"{', '.join(missing)}"
         )
     check_once(path, ("t", "class", "x", "y", "w", "h"), columns)
-    cells = {name: _converted(path, name, [row[name] for row in rows]) for name in needed}
+    cells = {name: _convert_column(path, name, [row[name] for row in rows]) for name in needed}
 
     n = len(rows)
     zeros = [0.0] * n
@@ -181,7 +185,7 @@ def _read_csv(path: Path) -> _Rows:
     return _Rows(np.array(cells["class"], object), np.array(cells["t"], np.int64), corner, size)
 
 
-def _converted(path: Path, name: str, column: list[Any]) -> list[Any]:
+def _convert_column(path: Path, name: str, column: list[Any]) -> list[Any]:
     """Convert a column of a table from texts to values.
 
     Parameters
@@ -226,17 +230,17 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
     boxes = map_npy(path)
     try:
         has_t = "t" in (boxes.dtype.names or ())
-        t = _whole(boxes["t" if has_t else "ts"])
-        numbers = _whole(boxes["class_id"]).tolist()
+        t = _whole_numbers(boxes["t" if has_t else "ts"])
+        numbers = _whole_numbers(boxes["class_id"]).tolist()
         for name in "xywh":
             if boxes[name].ndim != 1 or boxes.dtype[name].kind not in "iuf":
                 raise ValueError(f"{name} must be a number, got {boxes.dtype[name]}")
         corner = np.stack([boxes["x"], boxes["y"]], axis=-1).astype(np.float64)
         size = np.stack([boxes["w"], boxes["h"]], axis=-1).astype(np.float64)
     except (ValueError, IndexError, TypeError, AttributeError, EOFError, OverflowError) as error:
-        why = one_line(error)
+        reason = one_line(error)
         raise ValueError(
-            f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {why}"
+            f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {reason}"
         ) from None
     name_of = _class_names(path.parent / NAMES_FILE, classes)
     names = [name_of.get(str(number), str(number)) for number in numbers]
@@ -261,7 +265,7 @@ def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
     return {number: str(name) for number, name in content.items()}
 
 
-def _whole(column: np.ndarray) -> np.ndarray:
+def _whole_numbers(column: np.ndarray) -> np.ndarray:
     """A column of whole numbers as int64.
 
     Other numbers are a ValueError, because the conversion would change them silently.
@@ -270,11 +274,11 @@ def _whole(column: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}"
         )
-    with np.errstate(invalid="ignore"):  # no warning about nan and inf: they are refused below
-        whole = column.astype(np.int64)
-    fits = whole == column
+    with np.errstate(invalid="ignore"):  # no warning about nan and inf, which are refused below
+        converted = column.astype(np.int64)
+    fits = converted == column
     if not fits.all():
         raise ValueError(
             f"t and class_id must be whole numbers in int64, got {column[np.argmin(fits)]}"
         )
-    return whole
+    return converted

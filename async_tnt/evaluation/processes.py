@@ -23,7 +23,7 @@ CONNECT_S = 10.0
 WORKERS_S = 15.0
 """Seconds within which the scheduler's first worker must appear."""
 IN_FLIGHT = 1000
-"""Number of tasks that the cluster has at a time. Tasks whose results wait there count, too."""
+"""Number of tasks that the cluster has at a time. A task counts until its result is fetched."""
 
 
 def run_all(
@@ -47,17 +47,17 @@ def run_all(
     if workers == 1:
         yield from map(function, tasks)
         return
-    waiting = list(reversed(tasks))
+    waiting_tasks = list(reversed(tasks))  # `pop` takes the last one
     team: dict[Any, tuple[Worker, Task]] = {}  # the workers and their tasks, by pipe
 
     def submit(worker: Worker) -> None:
-        task = waiting.pop()
+        task = waiting_tasks.pop()
         team[worker.pipe] = (worker, task)
         worker.submit(function, task)
 
     try:
-        while waiting or team:
-            while waiting and len(team) < workers:
+        while waiting_tasks or team:
+            while waiting_tasks and len(team) < workers:
                 submit(Worker())
             for pipe in connection.wait(list(team)):
                 worker, task = team[pipe]
@@ -68,8 +68,8 @@ def run_all(
                     if lost is None:
                         raise
                     result = lost(task)
-                # a worker that has ended leaves the team; above, a new one takes its place
-                if waiting and worker.is_running:
+                # a worker that has ended leaves the team, and the loop above starts a new one
+                if waiting_tasks and worker.is_running:
                     submit(worker)
                 else:
                     worker.end()
@@ -101,9 +101,9 @@ def run_on_dask(
     """Yield `function(task)` of each task as soon as it is done on the workers of a Dask cluster.
 
     Dask replaces a worker that ends, and repeats its tasks. It gives up a task that has ended
-    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or that was waiting on such
-    workers. The tasks that were given up are repeated at the end, one at a time. `lost` makes the
-    result of a task that is then given up again.
+    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or that was waiting on
+    workers that ended. The tasks that were given up are repeated at the end, one at a time. `lost`
+    makes the result of a task that is then given up again.
 
     Parameters
     ----------
@@ -128,26 +128,28 @@ def run_on_dask(
                 f"the Dask cluster at {address} has no workers: start some, with one thread each: "
                 f"dask worker {address}"
             ) from None
-        waiting = iter(tasks)
+        waiting_tasks = iter(tasks)
         task_of: dict[str, Task] = {}
 
         def submit(n: int) -> list[Any]:
             futures = []
-            for task in itertools.islice(waiting, n):
-                futures.append(client.submit(function, task, pure=False))  # a key of its own
-                task_of[futures[-1].key] = task
+            for task in itertools.islice(waiting_tasks, n):
+                # without `pure=False`, equal tasks would share a key
+                future = client.submit(function, task, pure=False)
+                task_of[future.key] = task
+                futures.append(future)
             return futures
 
-        given_up = []
-        done = as_completed(submit(IN_FLIGHT), loop=client.loop)
-        for future in done:
+        given_up_tasks = []
+        finished_futures = as_completed(submit(IN_FLIGHT), loop=client.loop)
+        for future in finished_futures:
             task = task_of.pop(future.key)
             try:
                 yield _result(future, address)
             except KilledWorker:
-                given_up.append(task)
-            done.update(submit(1))
-        for task in given_up:
+                given_up_tasks.append(task)
+            finished_futures.update(submit(1))
+        for task in given_up_tasks:
             try:
                 yield _result(client.submit(function, task, pure=False), address)
             except KilledWorker:
@@ -170,7 +172,7 @@ def _connected(address: str) -> Iterator[Any]:
     with needs_extra("cluster", "a cluster needs Dask"):
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
-    # errors become a one-line message; Dask would log them too, with their tracebacks
+    # Errors become a message of one line. Dask would log them, too, with their tracebacks.
     logging.disable()
     try:
         try:

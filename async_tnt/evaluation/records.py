@@ -10,7 +10,7 @@ import numpy as np
 
 from async_tnt.base.messages import short
 from async_tnt.base.package import __version__
-from async_tnt.evaluation.early import FIELDS as EARLY
+from async_tnt.evaluation.early import FIELDS as EARLY_FIELDS
 from async_tnt.evaluation.early import LEVELS, early_fields, every_us, moments
 from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.kernels.volume.records import MAX_TIME_US
@@ -29,7 +29,7 @@ FIELDS = (
     "probabilities",
     "window_start_us",
     "window_probabilities",
-    *EARLY,
+    *EARLY_FIELDS,
     "decisions",
     "events",
     "late",
@@ -56,7 +56,9 @@ def evaluate_recording(task: Task) -> Record:
     ValueError : the model is not the one that the task was made for.
     """
     processor, pixels = processor_of(task.job)
-    fields: Record = {name: [] for name in ("window_start_us", "window_probabilities", *EARLY)}
+    fields: Record = {
+        name: [] for name in ("window_start_us", "window_probabilities", *EARLY_FIELDS)
+    }
     n_decisions = 0
     window: list[Decision] = []
     try:
@@ -82,7 +84,7 @@ def evaluate_recording(task: Task) -> Record:
             n_decisions += len(window)
             window = []
     except (ValueError, TypeError, OSError, MemoryError) as error:
-        return failed(task, _error_line(error, task))
+        return failed_record(task, _error_line(error, task))
 
     mean = np.mean(fields["window_probabilities"], axis=0)
     assert processor.classes is not None
@@ -113,10 +115,12 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
     n_classes = len(classes)
     n_moments = len(moments(config))
     n_levels = len(LEVELS)
-    rows: Any = record["window_start_us"]
-    n_windows = len(rows) if isinstance(rows, list) else 0
+    starts_us: Any = record["window_start_us"]
+    n_windows = len(starts_us) if isinstance(starts_us, list) else 0
     if n_windows == 0:
-        raise ValueError(f"`window_start_us` must be a list of one time or more, got {short(rows)}")
+        raise ValueError(
+            f"`window_start_us` must be a list of one time or more, got {short(starts_us)}"
+        )
     for name in ("label", "class"):
         if record[name] not in classes:
             raise ValueError(
@@ -126,7 +130,7 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
     for name in ("decisions", "events", "late", "off_sensor"):
         _check_numbers(name, [record[name]], (1,), int, (0, MAX_TIME_US))
     _check_numbers("probabilities", record["probabilities"], (n_classes,), float, (0, 1))
-    _check_numbers("window_start_us", rows, (n_windows,), int, (0, MAX_TIME_US))
+    _check_numbers("window_start_us", starts_us, (n_windows,), int, (0, MAX_TIME_US))
 
     # field with a row for each window -> the row's length, the type and the limits of its numbers
     tables: dict[str, tuple[int, type, tuple[int, int]]] = {
@@ -136,12 +140,12 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
         "confident": (n_levels, int, (-1, n_classes - 1)),
         "confident_us": (n_levels, int, (-1, MAX_TIME_US)),
     }
-    for name, (n, kind, limits) in tables.items():
-        _check_numbers(name, record[name], (n_windows, n), kind, limits)
+    for name, (row_length, number_type, limits) in tables.items():
+        _check_numbers(name, record[name], (n_windows, row_length), number_type, limits)
 
 
 def _check_numbers(
-    name: str, values: Any, shape: tuple[int, ...], kind: type, limits: tuple[int, int]
+    name: str, values: Any, shape: tuple[int, ...], number_type: type, limits: tuple[int, int]
 ) -> None:
     """Refuse anything but nested lists of numbers.
 
@@ -149,7 +153,7 @@ def _check_numbers(
     ----------
     name : the field's name, for the error.
     shape : length of the outer list, then of each list in it.
-    kind : int or float; whole numbers pass for float.
+    number_type : int or float; whole numbers pass for float.
     limits : the least and the greatest number that is allowed.
     """
     flat = [values]
@@ -160,23 +164,23 @@ def _check_numbers(
             )
         flat = [value for inner in flat for value in inner]
     low, high = limits
-    allowed = (int, float) if kind is float else (int,)
+    allowed_types = (int, float) if number_type is float else (int,)
     for value in flat:
-        if type(value) not in allowed or not low <= value <= high:
+        if type(value) not in allowed_types or not low <= value <= high:
             raise ValueError(
-                f"`{name}` must be numbers of type {kind.__name__} in [{low}, {high}], got "
+                f"`{name}` must be numbers of type {number_type.__name__} in [{low}, {high}], got "
                 f"{short(value)}"
             )
 
 
-def failed(task: Task, error: str) -> Record:
+def failed_record(task: Task, error: str) -> Record:
     """The record of a recording that could not be streamed."""
     return _record(task, {}, error)
 
 
-def lost(task: Task) -> Record:
+def lost_record(task: Task) -> Record:
     """The record of a recording whose worker ended without an answer."""
-    return failed(
+    return failed_record(
         task,
         f"{task.recording}: its worker ended: killed, out of memory, or crashed by the recording",
     )
@@ -189,9 +193,10 @@ def _record(task: Task, fields: Record, error: str | None) -> Record:
     return record | fields | {"error": error} | about_file
 
 
-_kept = threading.local()
-"""Its attribute `of_job` is what `processor_of` keeps from one recording to the next. Each thread
-has its own: a Processor has one stream, and a worker of a cluster may have several threads."""
+_cache = threading.local()
+"""Its attribute `entry` is what `processor_of` keeps from one recording to the next. Each thread
+has an entry of its own, because a Processor has one stream, and a worker of a cluster may have
+several threads."""
 
 
 def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
@@ -205,16 +210,16 @@ def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
     ValueError : the job was made for another model or another version of this package; or its
         pixels do not fit the model.
     """
-    kept: tuple[Job, Processor, ModelPixels] | None = getattr(_kept, "of_job", None)
-    if kept is None or kept[0] != job:
-        kept = (job, *_made_for(job))
-        _kept.of_job = kept
-    _, processor, pixels = kept
+    entry: tuple[Job, Processor, ModelPixels] | None = getattr(_cache, "entry", None)
+    if entry is None or entry[0] != job:
+        entry = (job, *_new_processor(job))
+        _cache.entry = entry
+    _, processor, pixels = entry
     processor.reset()
     return processor, pixels
 
 
-def _made_for(job: Job) -> tuple[Processor, ModelPixels]:
+def _new_processor(job: Job) -> tuple[Processor, ModelPixels]:
     """A new Processor and a new selector, see `processor_of`."""
     if job.version != __version__:
         raise ValueError(
@@ -245,13 +250,18 @@ def _decisions(
         yield from processor.push(packet)
     yield from processor.finish()
     if not processor.counts.received:
-        raise ValueError(pixels.nothing)
+        raise ValueError(pixels.no_events_message)
 
 
 def _error_line(error: Exception, task: Task) -> str:
-    """The error in one line, with the recording's name in the results."""
+    """The error in one line. It names the recording as the results do, not by its path.
+
+    So the line is the same on all machines, wherever the recordings are.
+    """
     if isinstance(error, OSError) and error.filename is not None:
         return f"{task.recording}: {error.strerror}"
     text = " ".join(str(error).split()) or type(error).__name__
-    text = text.replace(str(task.path), task.recording)  # the same text wherever the recordings lie
-    return text if task.recording in text else f"{task.recording}: {text}"
+    text = text.replace(str(task.path), task.recording)
+    if task.recording in text:
+        return text
+    return f"{task.recording}: {text}"

@@ -20,7 +20,7 @@ from async_tnt.base.json_text import parse_json
 from async_tnt.base.messages import one_line, short
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.job import Job, Task
-from async_tnt.evaluation.records import FIELDS, Record, lost
+from async_tnt.evaluation.records import FIELDS, Record, lost_record
 
 SUFFIXES = (".jsonl",)
 START = b'{"recording": '
@@ -63,26 +63,26 @@ def collect(
     KeyboardInterrupt : Ctrl-C. The error says how many recordings are done.
     """
     out = check_writable(out)
-    wanted = {task.recording: task for task in tasks}
+    task_of = {task.recording: task for task in tasks}
     with contextlib.closing(ResultFile(out, tasks[0].job)) as file:
-        good = _good_records(file, out, check)
-        to_do = [task for task in tasks if not _is_done(task, good)]
-        if good and len(to_do) == len(wanted):
+        good_records = _good_records(file, out, check)
+        open_tasks = [task for task in tasks if not _is_done(task, good_records)]
+        if good_records and len(open_tasks) == len(task_of):
             raise ValueError(
-                f"{out} holds results ({len(good):,}), but none of a recording as it is here: of "
-                "another folder? Name another file, or delete this one"
+                f"{out} holds results ({len(good_records):,}), but none of a recording as it is "
+                "here: of another folder? Name another file, or delete this one"
             )
-        n_all = len(wanted)
-        n_kept = n_all - len(to_do)
-        if n_kept and to_do:
+        n_all = len(task_of)
+        n_kept = n_all - len(open_tasks)
+        if n_kept and open_tasks:
             report(f"{out}: {n_kept:,} of {n_all:,} recordings are done, resuming")
-        n_gone = len(file.records.keys() - wanted.keys())
+        n_gone = len(file.records.keys() - task_of.keys())
         if n_gone:
             report(f"{out}: recordings that no longer exist are left out ({n_gone:,})")
 
         with (
             progress(n_all, "streaming", done=n_kept) as bar,
-            contextlib.closing(run(function, to_do, lost=lost)) as records,
+            contextlib.closing(run(function, open_tasks, lost=lost_record)) as records,
         ):
             try:
                 for record in records:
@@ -90,8 +90,8 @@ def collect(
                     bar.update()
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(f"{bar.done:,} of {n_all:,} recordings are done") from None
-        file.finish(wanted)
-        return [file.records[name] for name in sorted(wanted)]
+        file.finish(task_of)
+        return [file.records[name] for name in sorted(task_of)]
 
 
 def _good_records(
@@ -101,8 +101,10 @@ def _good_records(
 
     A record that `check` refuses is a ValueError.
     """
-    good = {name: record for name, record in file.records.items() if record["error"] is None}
-    for name, record in good.items():
+    good_records = {
+        name: record for name, record in file.records.items() if record["error"] is None
+    }
+    for name, record in good_records.items():
         try:
             check(record)
         except ValueError as error:
@@ -110,12 +112,12 @@ def _good_records(
                 f"{out} is damaged: the record of {short(name)}: {one_line(error)}; restore "
                 "the file, name another one, or delete this one"
             ) from None
-    return good
+    return good_records
 
 
-def _is_done(task: Task, good: Mapping[str, Record]) -> bool:
+def _is_done(task: Task, good_records: Mapping[str, Record]) -> bool:
     """Whether there is a record of this recording, and the recording has not changed since."""
-    record = good.get(task.recording)
+    record = good_records.get(task.recording)
     if record is None:
         return False
     recorded = (record["bytes"], record["modified_ns"], record["class"])
@@ -177,7 +179,7 @@ class ResultFile:
         with replacing(self._out) as part:
             with part.open("wb") as file:
                 file.writelines(_line(self.records[name]) for name in sorted(names))
-            if os.name == "nt":  # where an open file cannot be replaced
+            if os.name == "nt":  # Windows cannot replace an open file
                 self._file.close()
 
     def close(self) -> None:
@@ -186,20 +188,20 @@ class ResultFile:
             return
         with naming(self._out), contextlib.closing(self._file):
             is_empty = not self._file.seek(0, os.SEEK_END)
-            if os.name == "nt":  # where an open file cannot be deleted
+            if os.name == "nt":  # Windows cannot delete an open file
                 self._file.close()
             if is_empty and self._is_new:
                 self._out.unlink(missing_ok=True)
 
     def _load(self) -> None:
         """Read the records of an earlier run."""
-        start = self._file.read(len(START))
-        if not START.startswith(start):
-            raise ValueError(_not_ours(self._out))
+        first_bytes = self._file.read(len(START))
+        if not START.startswith(first_bytes):
+            raise ValueError(_foreign_file_text(self._out))
         self._file.seek(0)
         for line in iter(self._file.readline, b""):
             if not line.endswith(b"\n"):
-                # a killed process has left this incomplete line: cut it off
+                # this incomplete line was left by a killed process, and is cut off
                 self._file.truncate(self._file.tell() - len(line))
                 return
             self._add(_record_of(line, self._job, self._out))
@@ -224,11 +226,11 @@ def _record_of(line: bytes, job: Job, out: Path) -> Record:
         record = parse_json(line)
     except ValueError:
         record = None
-    damaged = ValueError(f"{_not_ours(out)}, or damaged")
+    damage_error = ValueError(f"{_foreign_file_text(out)}, or damaged")
     if not isinstance(record, dict) or record.keys() != set(FIELDS):
-        raise damaged
+        raise damage_error
     if not isinstance(record["recording"], str):
-        raise damaged
+        raise damage_error
     if record["settings"] != job.id:
         raise ValueError(
             f"{out} was made with another model, version or selection of pixels, settings "
@@ -238,5 +240,5 @@ def _record_of(line: bytes, job: Job, out: Path) -> Record:
     return record
 
 
-def _not_ours(out: Path) -> str:
+def _foreign_file_text(out: Path) -> str:
     return f"{out} is not a result of async-tnt: move it away, or name another file"

@@ -83,7 +83,7 @@ def share_right(confusion: np.ndarray) -> float:
 
 
 def calibration_of(
-    probability: np.ndarray, right: np.ndarray
+    probability: np.ndarray, is_right: np.ndarray
 ) -> tuple[list[dict[str, Any]], float]:
     """Group decisions by their probability, in `N_BINS` groups.
 
@@ -93,7 +93,7 @@ def calibration_of(
     Parameters
     ----------
     probability : float64, shape (N,): each decision's probability of the decided class.
-    right : bool, shape (N,): whether the decided class is the true class.
+    is_right : bool, shape (N,): whether the decided class is the true class.
 
     References
     ----------
@@ -106,13 +106,19 @@ def calibration_of(
     >>> [(row["decisions"], row["accuracy"]) for row in bins], round(error, 3)
     ([(2, 0.5), (2, 1.0)], 0.15)
     """
-    place = np.minimum((probability * N_BINS).astype(np.int64), N_BINS - 1)
+    group = np.minimum((probability * N_BINS).astype(np.int64), N_BINS - 1)
     rows = []
     error = 0.0
-    for k in np.unique(place):
-        in_bin = place == k
-        mean = float(probability[in_bin].mean())
-        accuracy = float(right[in_bin].mean())
-        rows.append({"decisions": int(in_bin.sum()), "probability": mean, "accuracy": accuracy})
-        error += float(in_bin.mean()) * abs(mean - accuracy)
+    for k in np.unique(group):
+        in_group = group == k
+        mean_probability = float(probability[in_group].mean())
+        accuracy = float(is_right[in_group].mean())
+        rows.append(
+            {
+                "decisions": int(in_group.sum()),
+                "probability": mean_probability,
+                "accuracy": accuracy,
+            }
+        )
+        error += float(in_group.mean()) * abs(mean_probability - accuracy)
     return rows, error

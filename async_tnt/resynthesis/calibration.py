@@ -185,13 +185,14 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
     }
 
 
-def unlike(match: Mapping[str, Mapping[str, float]]) -> list[str]:
+def differing_numbers(match: Mapping[str, Mapping[str, float]]) -> list[str]:
     """The names of the numbers of `Calibration.match` that differ by a factor of `UNLIKE` or more.
 
     Examples
     --------
     >>> recorded = {"ON share": 50.0, "active pixels": 2.0}
-    >>> unlike({"recorded": recorded, "resynthesized": {"ON share": 40.0, "active pixels": 2.8}})
+    >>> simulated = {"ON share": 40.0, "active pixels": 2.8}
+    >>> differing_numbers({"recorded": recorded, "resynthesized": simulated})
     ['active pixels']
     """
     names = []

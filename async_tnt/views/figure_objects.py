@@ -28,24 +28,26 @@ GAP = 0.28
 TOP = 0.7
 """Inches above the panels."""
 RIGHTMOST = 0.85
-"""Share of a panel's width. Objects right of it have their words on the left, inside the panel."""
+"""Share of a panel's width. The words of an object beyond this share stand on its left, so that
+they stay inside the panel."""
 
 
 def draw_window_objects(window: Window, model: Model) -> Figure:
     """Draw the objects that a map model finds in a window: a panel for each of `SHARES`."""
     processor = Processor(model, start_us=window.start_us)
     decisions = []
-    in_order = window.events[np.argsort(window.events["t"], kind="stable")]
+    events = window.events[np.argsort(window.events["t"], kind="stable")]
     ends_us = [window.start_us + round(share * model.config.window_us) for share in SHARES]
-    stops = np.searchsorted(in_order["t"], ends_us)
-    parts = np.split(in_order, stops)[:-1]  # the last part lies after the window
+    stops = np.searchsorted(events["t"], ends_us)
+    # the last part is empty, because no event is after the window
+    parts = np.split(events, stops)[:-1]
     for part in parts:
         processor.push(part)
         decisions.append(processor.fire())
     titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
     subject = window.subject
-    words = f"{subject.name}, window {window.number}: objects that {subject.model_name} finds"
-    return draw_objects(decisions, titles, in_order, model.config.sensor, words)
+    title = f"{subject.name}, window {window.number}: objects that {subject.model_name} finds"
+    return draw_objects(decisions, titles, events, model.config.sensor, title)
 
 
 def draw_objects(
@@ -53,7 +55,7 @@ def draw_objects(
     titles: Sequence[str],
     events: np.ndarray,
     sensor: tuple[int, int],
-    words: str,
+    heading: str,
 ) -> Figure:
     """Draw a panel for each decision.
 
@@ -63,34 +65,35 @@ def draw_objects(
     events : events of the recording, in order of time. A panel shows the events of the decision's
         window up to the decision.
     sensor : (width, height), in pixels.
-    words : the headline.
+    heading : the figure's title.
     """
     width, height = sensor
     side = (WIDTH - 2 * EDGE - (len(titles) - 1) * GAP) / len(titles)
     figure = new_figure(TOP + side * height / width + EDGE)
-    for k, (decision, title) in enumerate(zip(decisions, titles, strict=True)):
-        axes = axes_at(figure, EDGE + k * (side + GAP), TOP, side, side * height / width)
+    for column, (decision, title) in enumerate(zip(decisions, titles, strict=True)):
+        left = EDGE + column * (side + GAP)
+        axes = axes_at(figure, left, TOP, side, side * height / width)
         in_window = (events["t"] >= decision.window_start_us) & (events["t"] <= decision.time_us)
         for p, colour in ((1, ON), (0, OFF)):
-            shown = events[in_window & (events["p"] == p)]
-            axes.plot(shown["x"], shown["y"], ",", color=colour, alpha=0.6)
-        for found in decision.objects or ():
-            _draw_object(axes, found, words_left=found.x > RIGHTMOST * width)
+            shown_events = events[in_window & (events["p"] == p)]
+            axes.plot(shown_events["x"], shown_events["y"], ",", color=colour, alpha=0.6)
+        for item in decision.objects or ():
+            _draw_object(axes, item, words_left=item.x > RIGHTMOST * width)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
         axes.spines[:].set_visible(True)
         axes.set_title(title, loc="left", fontsize=9, color=TEXT)
-    headline(figure, words)
+    headline(figure, heading)
     return figure
 
 
-def _draw_object(axes: Any, found: Object, *, words_left: bool) -> None:
-    """Draw a circle, with class and probability beside it."""
-    axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
-    for text, up, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
+def _draw_object(axes: Any, item: Object, *, words_left: bool) -> None:
+    """Draw a circle around an object, with class and probability beside it."""
+    axes.plot(item.x, item.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
+    for text, points_up, size in ((item.label, 7, 13), (f"{item.probability:.2f}", -4, 7)):
         axes.annotate(
             text,
-            (found.x, found.y),
-            (-14 if words_left else 14, up),
+            (item.x, item.y),
+            (-14 if words_left else 14, points_up),
             fontsize=size,
             color=TEXT,
             ha="right" if words_left else "left",

@@ -22,7 +22,7 @@ from async_tnt.views.figure_style import (
     shortened,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject, shown_evenly
+from async_tnt.views.figure_subject import Subject, evenly_spread
 from async_tnt.views.figure_window import draw_both, draw_layers, layers_height
 
 if TYPE_CHECKING:
@@ -53,38 +53,46 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     """
     window = subject.window(number)
     config = subject.config
-    shown = shown_evenly(config.bins, MOST_SLICES).tolist()
-    classes_top = EVENTS_HEIGHT + 0.55 + layers_height(config, len(shown))
+    shown_bins = evenly_spread(config.bins, MOST_SLICES).tolist()
+    classes_top = EVENTS_HEIGHT + 0.55 + layers_height(config, len(shown_bins))
     figure = new_figure(classes_top + (0.0 if subject.model is None else CLASSES_HEIGHT + 0.5))
     draw_both(figure, window, height=EVENTS_HEIGHT - 0.7)
     size = f"{config.grid[0]} x {config.grid[1]} pixels, {config.bins} time bins, {config.polarity}"
     write_at(figure, 0.21, EVENTS_HEIGHT + 0.07, f"event volume of window {number} ({size})")
-    draw_layers(figure, window, shown, top=EVENTS_HEIGHT + 0.2)
+    draw_layers(figure, window, shown_bins, top=EVENTS_HEIGHT + 0.2)
     if subject.model is None:
         headline(figure, subject.name)
         return figure
 
     t = subject.events["t"]
     duration_us = int(t.max() - t.min())
-    # with this step, `MOST_DECISIONS` span the recording; rounded down to half milliseconds
-    distinct_us = duration_us // MOST_DECISIONS // 500 * 500
-    every_us = max(EVERY_US, distinct_us)
+    # `MOST_DECISIONS` of these steps span the recording. The step is rounded down to half
+    # milliseconds.
+    distinct_step_us = duration_us // MOST_DECISIONS // 500 * 500
+    every_us = max(EVERY_US, distinct_step_us)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
-    # The last decision of each window.
-    last = [d for d in decisions if d.trigger in ("window", "end")]
-    label, words = class_of_recording(subject.model.classes, [d.probabilities for d in last])
-    headline(figure, f"{subject.name}: “{label}”, {words}")
+    last_decisions = [d for d in decisions if d.trigger in ("window", "end")]
+    label, details = class_of_recording(
+        subject.model.classes, [d.probabilities for d in last_decisions]
+    )
+    headline(figure, f"{subject.name}: “{label}”, {details}")
     axes = axes_at(figure, 0.75, classes_top, 8.6, CLASSES_HEIGHT)
-    draw_classes(axes, subject, subject.model, decisions, last)
-    who = printable(subject.model_name)
-    when = f"every {every_us / 1e3:g} ms and at the ends of windows"
-    axes.set_xlabel(f"time in the recording (ms); decisions of {who} {when}", fontsize=SMALL)
+    draw_classes(axes, subject, subject.model, decisions, last_decisions)
+    model_name = printable(subject.model_name)
+    moments_text = f"every {every_us / 1e3:g} ms and at the ends of windows"
+    axes.set_xlabel(
+        f"time in the recording (ms); decisions of {model_name} {moments_text}", fontsize=SMALL
+    )
     return figure
 
 
 def draw_classes(
-    axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]
+    axes: Any,
+    subject: Subject,
+    model: Model,
+    decisions: list[Decision],
+    last_decisions: list[Decision],
 ) -> None:
     """Draw the probability of each class as a line, and write each window's decision above.
 
@@ -93,15 +101,15 @@ def draw_classes(
     Parameters
     ----------
     decisions : all decisions.
-    last : the last decision of each window.
+    last_decisions : the last decision of each window.
     """
     probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
     times = subject.since_start_ms(np.array([d.time_us for d in decisions]))
     starts_us = np.array([d.window_start_us for d in decisions])
     # nan interrupts the lines at the end of each window
-    ends = np.flatnonzero(np.diff(starts_us)) + 1
-    x = np.insert(times, ends, np.nan)
-    y = np.insert(probabilities, ends, np.nan, axis=0)
+    end_rows = np.flatnonzero(np.diff(starts_us)) + 1
+    x = np.insert(times, end_rows, np.nan)
+    y = np.insert(probabilities, end_rows, np.nan, axis=0)
     likeliest = np.argsort(-probabilities.mean(axis=0), kind="stable")
     # The likeliest class is drawn last, on top.
     for rank, k in reversed(list(enumerate(likeliest))):
@@ -113,8 +121,8 @@ def draw_classes(
         (line,) = axes.plot(x, y[:, k], marker=".", ms=2, **look)
         line.set_gid(f"class {k}")
 
-    if len(last) <= MOST_NAMED:
-        for decision in last:
+    if len(last_decisions) <= MOST_NAMED:
+        for decision in last_decisions:
             start_ms = subject.since_start_ms(decision.window_start_us)
             axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
             name = shortened(decision.label or "nothing", 10)

@@ -79,8 +79,8 @@ def draw_resynthesis(
 ) -> Figure:
     """Draw a row for each window.
 
-    A row has the recorded events, then the image and the path that were found in them. Then it has
-    simulated events of this image, along the same path and along each other path.
+    A row has the recorded events, then the image and the path that were found in these events. Then
+    it has simulated events of this image, along the same path and along each other path.
 
     Parameters
     ----------
@@ -89,22 +89,26 @@ def draw_resynthesis(
     """
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
-    high = SIDE * height / width
+    picture_height = SIDE * height / width
     rows: list[ResynthesizedWindow | RefusedWindow] = [*windows, *refused]
-    figure = _figure_of(len(rows), 3 + n_others, high)
-    headline(figure, "motion re-synthesis")
     titles = ["as recorded", "image, path found", "the same path"]
     titles += [f"other path {i + 1}" for i in range(n_others)]
+    figure = _figure_of(len(rows), len(titles), picture_height)
+    headline(figure, "motion re-synthesis")
     for column, title in enumerate(titles):
         left = LEFT + column * (SIDE + GAP) + SIDE / 2
         write_at(figure, left, TOP - 0.2, title, ha="center")
 
     for row, window in enumerate(rows):
-        top = TOP + row * (high + GAP)
-        write_at(figure, LEFT - 0.1, top + high / 2, shortened(window.name, 14), ha="right")
+        top = TOP + row * (picture_height + GAP)
+        write_at(
+            figure, LEFT - 0.1, top + picture_height / 2, shortened(window.name, 14), ha="right"
+        )
         _draw_picture(figure, 0, top, _counts(window.recorded, (height, width)), is_image=False)
         if isinstance(window, RefusedWindow):
-            write_at(figure, LEFT + SIDE + 2 * GAP, top + high / 2, f"no path: {window.reason}")
+            write_at(
+                figure, LEFT + SIDE + 2 * GAP, top + picture_height / 2, f"no path: {window.reason}"
+            )
             continue
         pictures = [window.image]
         for events in (window.same_motion, *window.others):
@@ -130,16 +134,23 @@ def draw_recorded_pictures(
         recordings.
     sensor : (width, height), in pixels.
     """
-    high = SIDE * sensor[1] / sensor[0]
+    picture_height = SIDE * sensor[1] / sensor[0]
     n_recordings = len(pictures[0][2])
-    figure = _figure_of(len(pictures), 1 + n_recordings, high)
+    figure = _figure_of(len(pictures), 1 + n_recordings, picture_height)
     headline(figure, "pictures, as simulated cameras record them")
-    for row, (name, light, recordings) in enumerate(pictures):
-        top = TOP + row * (high + GAP)
-        write_at(figure, LEFT - 0.1, top + high / 2, shortened(name, 14), ha="right")
-        fits = min(SIDE / light.shape[1], high / light.shape[0])
-        axes = axes_at(figure, LEFT, top, fits * light.shape[1], fits * light.shape[0])
-        axes.imshow(np.sqrt(light), cmap="gray", vmin=0, vmax=1)
+    for row, (name, luminance, recordings) in enumerate(pictures):
+        top = TOP + row * (picture_height + GAP)
+        write_at(figure, LEFT - 0.1, top + picture_height / 2, shortened(name, 14), ha="right")
+        inches_a_pixel = min(SIDE / luminance.shape[1], picture_height / luminance.shape[0])
+        axes = axes_at(
+            figure,
+            LEFT,
+            top,
+            inches_a_pixel * luminance.shape[1],
+            inches_a_pixel * luminance.shape[0],
+        )
+        # the luminance of a screen is about the square of the grey value
+        axes.imshow(np.sqrt(luminance), cmap="gray", vmin=0, vmax=1)
         axes.axis("off")
         for column, events in enumerate(recordings, 1):
             _draw_picture(figure, column, top, _counts(events, sensor[::-1]), is_image=False)
@@ -147,9 +158,11 @@ def draw_recorded_pictures(
     return figure
 
 
-def _figure_of(n_rows: int, n_columns: int, high: float) -> Figure:
-    """A figure with room for rows and columns of pictures, which are `high` inches high."""
-    return new_figure(TOP + n_rows * (high + GAP) + 0.1, LEFT + n_columns * (SIDE + GAP) + 0.1)
+def _figure_of(n_rows: int, n_columns: int, picture_height: float) -> Figure:
+    """A figure with room for rows and columns of pictures; `picture_height` is in inches."""
+    return new_figure(
+        TOP + n_rows * (picture_height + GAP) + 0.1, LEFT + n_columns * (SIDE + GAP) + 0.1
+    )
 
 
 def _draw_picture(
@@ -160,10 +173,10 @@ def _draw_picture(
     Parameters
     ----------
     picture : (H, W): an image, or the number of ON minus OFF events.
-    is_image : whether it is an image.
+    is_image : whether the picture is an image.
     """
-    high = SIDE * picture.shape[0] / picture.shape[1]
-    axes = picture_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
+    height = SIDE * picture.shape[0] / picture.shape[1]
+    axes = picture_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, height)
     if is_image:
         axes.imshow(picture, cmap="gray")
     else:
@@ -185,12 +198,12 @@ def _draw_path(axes: Any, path: np.ndarray, sensor: tuple[int, int]) -> None:
     x, y = (path - middle_of_path + middle_of_sensor).T
     axes.plot(x, y, color="black", lw=1.4)
     # the arrow comes from the last point that is not too near to the end
-    far = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))
-    if len(far):
-        before = x[far[-1]], y[far[-1]]
+    far_points = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))
+    if len(far_points):
+        arrow_start = x[far_points[-1]], y[far_points[-1]]
         axes.annotate(
             "",
             (x[-1], y[-1]),
-            before,
+            arrow_start,
             arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 1.4},
         )

@@ -36,7 +36,8 @@ PALE = "#c4c4c4"
 TEXT = "#555555"
 """Colour of small words."""
 
-# sizes of letters in points: legible in a figure 10.4 inches wide that is shown 900 pixels wide
+# Sizes of letters in points. The letters are legible in a figure 10.4 inches wide that is shown 900
+# pixels wide.
 SMALL = 9
 NORMAL = 10
 LARGE = 11
@@ -56,7 +57,7 @@ _STYLE: dict[str, Any] = {
     "legend.fontsize": SMALL,
     "legend.frameon": False,
     "text.parse_math": False,  # a $ in a file's name is printed as a $
-    "svg.fonttype": "none",  # text stays text: it can be searched, and takes little space
+    "svg.fonttype": "none",  # text can be searched, and takes little space
     "svg.hashsalt": "async_tnt",  # the same figure gives the same bytes
 }
 
@@ -82,8 +83,16 @@ def axes_at(
     figure: Figure, left: float, top: float, width: float, height: float, **settings: Any
 ) -> Any:
     """Add axes to a figure, in inches. `left` and `top` count from its upper left corner."""
-    w, h = figure.get_size_inches()
-    return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h), **settings)
+    figure_width, figure_height = figure.get_size_inches()
+    return figure.add_axes(
+        (
+            left / figure_width,
+            1 - (top + height) / figure_height,
+            width / figure_width,
+            height / figure_height,
+        ),
+        **settings,
+    )
 
 
 def picture_at(figure: Figure, left: float, top: float, width: float, height: float) -> Any:
@@ -95,9 +104,9 @@ def picture_at(figure: Figure, left: float, top: float, width: float, height: fl
 
 def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
     """Write a line of text. `left` and `top` are inches from the figure's upper left corner."""
-    w, h = figure.get_size_inches()
+    figure_width, figure_height = figure.get_size_inches()
     look = {"va": "center", "fontsize": LARGE, **settings}
-    figure.text(left / w, 1 - top / h, printable(words), **look)
+    figure.text(left / figure_width, 1 - top / figure_height, printable(words), **look)
 
 
 def headline(figure: Figure, words: str) -> None:
@@ -106,11 +115,11 @@ def headline(figure: Figure, words: str) -> None:
 
 
 def note(
-    axes: Any, words: str, at: tuple[float, float], offset: tuple[float, float], **settings: Any
+    axes: Any, words: str, point: tuple[float, float], offset: tuple[float, float], **settings: Any
 ) -> None:
-    """Write small text beside the data point `at`. `offset` is (right, up), in 1/72 inch."""
+    """Write small text beside the data point `point`. `offset` is (right, up), in 1/72 inch."""
     look = {"fontsize": SMALL, "color": TEXT, **settings}
-    axes.annotate(words, at, xytext=offset, textcoords="offset points", **look)
+    axes.annotate(words, point, xytext=offset, textcoords="offset points", **look)
 
 
 def check_picture(path: Path) -> None:
@@ -136,15 +145,15 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     ----------
     dpi : pixels per inch of a PNG file, and of the clouds of dots in an SVG or PDF file.
     """
-    kind = path.suffix.lower().removeprefix(".")
-    # no dates and versions: the same figure gives the same bytes
+    file_format = path.suffix.lower().removeprefix(".")
+    # without dates and versions, the same figure gives the same bytes
     metadata = {
         "png": {"Software": "async_tnt"},
         "svg": {"Date": None},
         "pdf": {"CreationDate": None},
-    }[kind]
+    }[file_format]
     with replacing(path) as part:
-        figure.savefig(part, format=kind, dpi=dpi, metadata=metadata)
+        figure.savefig(part, format=file_format, dpi=dpi, metadata=metadata)
 
 
 def colour_map(*colours: str) -> Colormap:

@@ -44,7 +44,7 @@ class Subject:
     def __post_init__(self) -> None:
         if self.events.size == 0:
             raise ValueError(f"{self.name}: no events to draw")
-        self.regressor()
+        self.regressor()  # raises the errors about the landmark network
 
     @property
     def first_us(self) -> int:
@@ -70,14 +70,14 @@ class Subject:
         t = self.events["t"]
         # An event that arrives after an event of a later window is late. It is left out here, just
         # as the stream drops it.
-        still_open = np.maximum.accumulate(t) < start_us + window_us
-        inside = self.events[still_open & (t >= start_us)]
-        if inside.size:
-            return Window(self, number, start_us, inside)
-        last = max(0, (int(t.max()) - self.first_us) // window_us + 1)
+        is_in_time = np.maximum.accumulate(t) < start_us + window_us
+        window_events = self.events[is_in_time & (t >= start_us)]
+        if window_events.size:
+            return Window(self, number, start_us, window_events)
+        last_number = max(0, (int(t.max()) - self.first_us) // window_us + 1)
         raise ValueError(
             f"{self.name}: no events in window {number}, from {start_us} us on; the recording ends "
-            f"in window {last}"
+            f"in window {last_number}"
         )
 
     def regressor(self) -> CompiledRegressor | None:
@@ -85,9 +85,11 @@ class Subject:
         if not self.config.needs_regressor:
             return None
         if self.model is None or not self.model.config.needs_regressor:
-            who = "there is no model" if self.model is None else f"model {self.model_name} has none"
+            problem = (
+                "there is no model" if self.model is None else f"model {self.model_name} has none"
+            )
             raise ValueError(
-                f'landmark="regressor" needs a model with a landmark network, but {who}'
+                f'landmark="regressor" needs a model with a landmark network, but {problem}'
             )
         return CompiledRegressor(replace(self.model, config=self.config))
 
@@ -122,12 +124,12 @@ class Window:
         """
         config = self.subject.config
         pixels = np.stack([self.events["x"], self.events["y"]], axis=1)  # (N, 2)
-        place = pixels * config.to_grid(1.0, 1.0)
+        grid_points = pixels * config.to_grid(1.0, 1.0)
         centre = np.subtract(config.grid, 1) / 2
         landmark = self._landmarks()
         tau = config.t_max * (self.events["t"] - self.start_us) / config.window_us
         with np.errstate(divide="ignore", invalid="ignore"):
-            u, v = ((place - landmark) / tau[:, np.newaxis] + centre).T
+            u, v = ((grid_points - landmark) / tau[:, np.newaxis] + centre).T
         kept = _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1)
         return Coordinates(u, v, kept, landmark)
 
@@ -137,17 +139,17 @@ class Window:
         # a landmark that is only known when the volume is read is the same for all events
         if config.defers_landmark:
             return np.tile(self._volume(config).landmark, (self.events.size, 1))
-        centred_on = np.empty((self.events.size, 2))
+        landmarks = np.empty((self.events.size, 2))
         # the landmark does not depend on the volume's cells, so the smallest volume will do
         volume = TNTVolume(config.replace(representation="volume", bins=1))
         volume.open(self.start_us)
         for i, event in enumerate(self.events.tolist()):
             volume.update_one(*event)
-            centred_on[i] = volume.landmark
+            landmarks[i] = volume.landmark
             if config.remove_flow:
                 fraction = (event[0] - self.start_us) / config.window_us
-                centred_on[i] += np.multiply(volume.flow, fraction)
-        return centred_on
+                landmarks[i] += np.multiply(volume.flow, fraction)
+        return landmarks
 
     def _volume(self, config: TNTConfig) -> TNTVolume:
         """The volume of all the window's events, with this configuration."""
@@ -165,7 +167,8 @@ class Coordinates(NamedTuple):
     """float64, shape (N,): column in the transformed grid. It is inf or nan for an event at the
     window's very start, where tau is 0."""
     v: np.ndarray
-    """float64, shape (N,): row in the transformed grid; inf or nan where `u` may be."""
+    """float64, shape (N,): row in the transformed grid. It may be inf or nan for the same events as
+    `u`."""
     kept: np.ndarray
     """bool, shape (N,): whether the event is on the grid, and therefore in the volume."""
     landmark: np.ndarray
@@ -181,6 +184,6 @@ def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
     return (values >= -BORDER_TOLERANCE) & (values <= upper + BORDER_TOLERANCE)
 
 
-def shown_evenly(n: int, most: int) -> np.ndarray:
+def evenly_spread(n: int, most: int) -> np.ndarray:
     """At most `most` of the indices from 0 to n - 1, evenly spread."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.int64)

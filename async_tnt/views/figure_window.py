@@ -24,7 +24,7 @@ from async_tnt.views.figure_style import (
     polarity_legend,
     write_at,
 )
-from async_tnt.views.figure_subject import Window, shown_evenly
+from async_tnt.views.figure_subject import Window, evenly_spread
 from async_tnt.volume.config import TNTConfig
 
 if TYPE_CHECKING:
@@ -62,18 +62,18 @@ def draw_both(figure: Figure, window: Window, height: float) -> None:
     config = window.subject.config
     events = window.events
     u, v, kept, _ = window.coordinates()
-    raw = axes_at(figure, 0.0, 0.7, 5.0, height, projection="3d")
-    tnt = axes_at(figure, 5.2, 0.7, 5.0, height, projection="3d")
+    raw_axes = axes_at(figure, 0.0, 0.7, 5.0, height, projection="3d")
+    tnt_axes = axes_at(figure, 5.2, 0.7, 5.0, height, projection="3d")
 
-    _draw_events(raw, window, events["x"], events["y"], np.ones(events.size, bool))
-    _frame(raw, window, config.sensor, "x", "y")
-    words = f"raw: {events.size:,} events in window {window.number}"
-    write_at(figure, 2.6, 0.7, words, ha="center")
+    _draw_events(raw_axes, window, events["x"], events["y"], np.ones(events.size, bool))
+    _frame(raw_axes, window, config.sensor, "x", "y")
+    raw_title = f"raw: {events.size:,} events in window {window.number}"
+    write_at(figure, 2.6, 0.7, raw_title, ha="center")
 
-    _draw_events(tnt, window, u, v, kept)
-    _frame(tnt, window, config.grid, "u", "v")
-    words = f"after TNT ({transform_words(config)}): {int(kept.sum()):,} events kept"
-    write_at(figure, 7.8, 0.7, words, ha="center")
+    _draw_events(tnt_axes, window, u, v, kept)
+    _frame(tnt_axes, window, config.grid, "u", "v")
+    tnt_title = f"after TNT ({transform_words(config)}): {int(kept.sum()):,} events kept"
+    write_at(figure, 7.8, 0.7, tnt_title, ha="center")
 
     polarity_legend(figure)
 
@@ -90,14 +90,14 @@ def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: 
     Time goes to the right, x into the depth, and y downwards, as if the sensor's images of
     successive moments stood in a row.
     """
-    shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
-    colours = np.where(window.events["p"][shown] == 1, ON, OFF)
-    # many dots are drawn smaller
-    size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
+    indices = np.flatnonzero(kept)[evenly_spread(int(kept.sum()), MOST_DOTS)]
+    colours = np.where(window.events["p"][indices] == 1, ON, OFF)
+    # Up to 3,000 dots have the full size. More dots are smaller, and cover the same area together.
+    size = 3.0 * min(1.0, (3_000 / max(1, indices.size)) ** 0.5)
     axes.scatter(
-        window.time_ms[shown],
-        x[shown],
-        y[shown],
+        window.time_ms[indices],
+        x[indices],
+        y[indices],
         s=size,
         c=colours,
         lw=0,
@@ -111,7 +111,7 @@ def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_nam
     axes.set(
         xlim=(0, window.subject.config.window_us / 1e3),
         ylim=(0, sides[0] - 1),
-        zlim=(sides[1] - 1, 0),
+        zlim=(sides[1] - 1, 0),  # y goes downwards
     )
     axes.set_xlabel("time in the window (ms)", labelpad=-1)
     axes.set_ylabel(f"{x_name} (px)", labelpad=-4)
@@ -157,28 +157,29 @@ def layers_of_window(window: Window) -> list[Layer]:
 
 def layers_height(config: TNTConfig, n_shown: int) -> float:
     """Height of the rows and titles that `draw_layers` draws, in inches."""
+    # the raw and the transformed volume, with two rows each if the polarity is split
     n_layers = 4 if config.polarity == "split" else 2
-    _, height = _picture(config, n_shown)
+    _, height = _picture_size(config, n_shown)
     return HEAD + n_layers * (height + ROW_GAP)
 
 
-def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
+def draw_layers(figure: Figure, window: Window, shown_bins: Sequence[int], top: float) -> None:
     """Draw the rows of pictures of a window, and a colour bar for each row.
 
     The rows take the figure's width, and begin `top` inches below its upper edge.
 
     Parameters
     ----------
-    shown : the bins that are drawn.
+    shown_bins : the bins that are drawn.
     """
     config = window.subject.config
     layers = layers_of_window(window)
-    width, height = _picture(config, len(shown))
-    titles = [f"bin {k}\n{bin_ms(config, k)}" for k in shown]
-    images = draw_rows(figure, layers, shown, titles, (LEFT, top + HEAD), (width, height))
-    right = LEFT + len(shown) * (width + GAP) + 0.04
+    width, height = _picture_size(config, len(shown_bins))
+    titles = [f"bin {k}\n{bin_time(config, k)}" for k in shown_bins]
+    images = draw_rows(figure, layers, shown_bins, titles, (LEFT, top + HEAD), (width, height))
+    bars_left = LEFT + len(shown_bins) * (width + GAP) + 0.04
     for row, image in enumerate(images):
-        bar = axes_at(figure, right, top + HEAD + row * (height + ROW_GAP), 0.1, height)
+        bar = axes_at(figure, bars_left, top + HEAD + row * (height + ROW_GAP), 0.1, height)
         figure.colorbar(image, cax=bar, ticks=few_ticks())
         bar.tick_params(labelsize=SMALL, length=2, colors=TEXT)
 
@@ -186,10 +187,10 @@ def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float
 def draw_rows(
     figure: Figure,
     layers: Sequence[Layer],
-    shown: Sequence[int],
+    shown_bins: Sequence[int],
     titles: Sequence[str],
     corner: tuple[float, float],
-    picture: tuple[float, float],
+    picture_size: tuple[float, float],
 ) -> list[AxesImage]:
     """Draw a row of pictures for each layer. Returns one image of each row, for its colour bar.
 
@@ -198,24 +199,24 @@ def draw_rows(
     Parameters
     ----------
     layers : what the rows show.
-    shown, titles : the bins of the columns, and their titles.
+    shown_bins, titles : the bins of the columns, and the titles of the columns.
     corner : (left, top) of the first picture, in inches.
-    picture : (width, height) of each picture, in inches.
+    picture_size : (width, height) of each picture, in inches.
     """
     left, top = corner
-    width, height = picture
+    width, height = picture_size
     images = []
     for row, layer in enumerate(layers):
-        used = np.abs(layer.cells[shown])
-        # The full colour begins below the largest cells. They would leave all others pale.
-        limit = float(np.quantile(used[used > 0], 0.98)) if used.any() else 1.0
+        magnitudes = np.abs(layer.cells[shown_bins])
+        # The full colour begins below the largest cells, because these would leave all others pale.
+        limit = float(np.quantile(magnitudes[magnitudes > 0], 0.98)) if magnitudes.any() else 1.0
         if layer.colours == "signed":
             shades = colour_map(*OFF_TO_ON)
             lowest = -limit
         else:
             shades = colour_map("#ffffff", INK[layer.colours])
             lowest = 0.0
-        for column, (k, title) in enumerate(zip(shown, titles, strict=True)):
+        for column, (k, title) in enumerate(zip(shown_bins, titles, strict=True)):
             axes = picture_at(
                 figure, left + column * (width + GAP), top + row * (height + ROW_GAP), width, height
             )
@@ -234,14 +235,14 @@ def draw_rows(
     return images
 
 
-def _picture(config: TNTConfig, n_shown: int) -> tuple[float, float]:
+def _picture_size(config: TNTConfig, n_shown: int) -> tuple[float, float]:
     """Width and height of one picture, in inches."""
     ratio = config.grid[1] / config.grid[0]
-    widest = (WIDTH - LEFT - RIGHT - GAP * (n_shown - 1)) / n_shown
-    height = min(TALLEST, widest * ratio)
+    most_width = (WIDTH - LEFT - RIGHT - GAP * (n_shown - 1)) / n_shown
+    height = min(TALLEST, most_width * ratio)
     return height / ratio, height
 
 
-def bin_ms(config: TNTConfig, k: int) -> str:
+def bin_time(config: TNTConfig, k: int) -> str:
     """The time of bin k in the window, as text."""
     return f"{k * config.window_us / 1e3 / max(1, config.bins - 1):.3g} ms"

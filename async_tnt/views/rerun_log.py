@@ -30,8 +30,8 @@ PROBABILITIES = "probabilities"
 CLASS = "class"
 DECISIONS = "decisions"
 
-# Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is
-# dark
+# Okabe and Ito's colours, which colour-blind people can distinguish. They are bright, because the
+# viewer is dark.
 ON_COLOUR = (230, 159, 0)
 OFF_COLOUR = (86, 180, 233)
 NOTHING_COLOUR = (18, 20, 24)
@@ -44,13 +44,13 @@ OFF = 1
 ON = 2
 
 MOST_LINES = 20
-"""Number of decisions that are logged between two pictures, at most: the newest."""
+"""Number of decisions that are logged between two pictures, at most. They are the newest ones."""
 MOST_NAMED = 12
-"""Number of classes in the text about the open window, at most: the likeliest."""
+"""Number of classes in the text about the open window, at most. They are the likeliest ones."""
 MOST_SHEET_PIXELS = 1 << 17
 """Number of pixels of the picture of a volume, at most."""
 LIVE_SECONDS = 10
-"""Seconds that the plots show of a live stream: the last ones."""
+"""Number of last seconds that the plots show of a live stream."""
 
 
 class StreamLog:
@@ -86,14 +86,19 @@ class StreamLog:
         self._n_pending += len(decisions)
 
     def write(
-        self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
+        self,
+        at_us: int,
+        decision: Decision,
+        recent: np.ndarray,
+        raw: np.ndarray,
+        processor: Processor,
     ) -> None:
         """Log a picture, and the decisions since the previous picture.
 
         Parameters
         ----------
         at_us : the picture's moment, in microseconds of the recording.
-        now : the decision about the open window, from the processor's `fire`.
+        decision : the decision about the open window, from the processor's `fire`.
         recent : the events that the event image shows.
         raw : the volume without the transform, float32, shape (C, H, W).
         processor : gives the transformed volume and the landmark.
@@ -109,16 +114,16 @@ class StreamLog:
         self._stream.log(RAW, rr.Image(bin_sheet(raw)))
         if self._config.transform == "tnt":
             self._stream.log(TNT, rr.Image(bin_sheet(processor.volume())))
-            landmarks = [self._config.to_sensor(*processor.landmark)] if now.events else []
+            landmarks = [self._config.to_sensor(*processor.landmark)] if decision.events else []
             self._log_points(LANDMARK, landmarks, 5.0)
-        if now.objects is not None:
-            places = [(found.x, found.y) for found in now.objects]
-            labels = [f"{found.label} {found.probability:.2f}" for found in now.objects]
-            self._log_points(OBJECTS, places, 6.0, labels)
-        text = class_text(now, self._classes)
-        self._stream.log(CLASS, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-        if now.events:
-            self._log_probabilities(now)
+        if decision.objects is not None:
+            object_places = [(item.x, item.y) for item in decision.objects]
+            object_labels = [f"{item.label} {item.probability:.2f}" for item in decision.objects]
+            self._log_points(OBJECTS, object_places, 6.0, object_labels)
+        description = class_text(decision, self._classes)
+        self._stream.log(CLASS, rr.TextDocument(description, media_type=rr.MediaType.MARKDOWN))
+        if decision.events:
+            self._log_probabilities(decision)
 
     def _log_points(
         self,
@@ -141,14 +146,14 @@ class StreamLog:
         for decision in self._pending:
             span = f"{decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms"
             label = "nothing" if decision.label is None else decision.label
-            what = f"{label}  {decision.probability:.3f}"
-            text = f"{what}  {decision.trigger}: {decision.events:,} events, {span}"
+            outcome = f"{label}  {decision.probability:.3f}"
+            text = f"{outcome}  {decision.trigger}: {decision.events:,} events, {span}"
             if n_left_out:
                 text += f" ({n_left_out:,} decisions before it are not shown)"
                 n_left_out = 0
             self._set_time(decision.time_us)
-            # By its level, the viewer can hide the many early decisions, and still show the last
-            # decision of each window.
+            # The viewer can filter lines by level: it can hide the many early decisions, and still
+            # show the last decision of each window.
             is_last = decision.complete or decision.trigger == "end"
             level = "INFO" if is_last else "TRACE"
             self._stream.log(DECISIONS, self._rr.TextLog(text, level=level))
@@ -161,41 +166,51 @@ class StreamLog:
 
         A class of a map model has the probability of its likeliest object.
         """
-        shown: Any = decision.probabilities
+        probabilities: Any = decision.probabilities
         if decision.objects is not None:
             likeliest = dict.fromkeys(self._classes, 0.0)
-            for found in decision.objects:
-                likeliest[found.label] = max(likeliest[found.label], found.probability)
-            shown = list(likeliest.values())
-        self._stream.log(PROBABILITIES, self._rr.Scalars(shown))
+            for item in decision.objects:
+                likeliest[item.label] = max(likeliest[item.label], item.probability)
+            probabilities = list(likeliest.values())
+        self._stream.log(PROBABILITIES, self._rr.Scalars(probabilities))
 
     def _set_time(self, t_us: int) -> None:
         self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us, "us"))
 
 
-def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
+def _blueprint(rr: Any, has_transform: bool, live: bool) -> Any:
     """The initial layout: pictures and class at the top, plots and the log of decisions below.
 
     Parameters
     ----------
-    transformed : whether there are a TNT volume and a landmark.
+    has_transform : whether there are a TNT volume and a landmark.
     live : whether the plots show only the last seconds.
     """
-    b = rr.blueprint
+    blueprint = rr.blueprint
     pictures = [
-        b.Spatial2DView(origin="events", name="Events and landmark" if transformed else "Events"),
-        b.Spatial2DView(origin=RAW, name="Raw volume, all bins"),
+        blueprint.Spatial2DView(
+            origin="events", name="Events and landmark" if has_transform else "Events"
+        ),
+        blueprint.Spatial2DView(origin=RAW, name="Raw volume, all bins"),
     ]
-    if transformed:
-        pictures.append(b.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
-    at = rr.TimeRangeBoundary.cursor_relative
-    last = rr.VisibleTimeRange(TIMELINE, start=at(seconds=-LIVE_SECONDS), end=at())
-    plots = b.TimeSeriesView(
-        origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None
+    if has_transform:
+        pictures.append(blueprint.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
+    from_cursor = rr.TimeRangeBoundary.cursor_relative
+    last_seconds = rr.VisibleTimeRange(
+        TIMELINE, start=from_cursor(seconds=-LIVE_SECONDS), end=from_cursor()
     )
-    top = b.Horizontal(*pictures, b.TextDocumentView(origin=CLASS, name="Class now"))
-    below = b.Horizontal(plots, b.TextLogView(origin=DECISIONS, name="Decisions"))
-    return b.Blueprint(b.Vertical(top, below, row_shares=[5, 4]), collapse_panels=True)
+    plots = blueprint.TimeSeriesView(
+        origin=PROBABILITIES, name="Probabilities", time_ranges=[last_seconds] if live else None
+    )
+    upper_row = blueprint.Horizontal(
+        *pictures, blueprint.TextDocumentView(origin=CLASS, name="Class now")
+    )
+    lower_row = blueprint.Horizontal(
+        plots, blueprint.TextLogView(origin=DECISIONS, name="Decisions")
+    )
+    return blueprint.Blueprint(
+        blueprint.Vertical(upper_row, lower_row, row_shares=[5, 4]), collapse_panels=True
+    )
 
 
 def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
@@ -212,6 +227,7 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
     """
     image = np.zeros((sensor[1], sensor[0]), np.uint8)
     # Where several events have the same pixel, NumPy keeps the last one.
+    # `ON` is `OFF` + 1, and the polarity of an ON event is 1.
     image[events["y"], events["x"]] = OFF + events["p"]
     return image
 
@@ -240,12 +256,13 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
     rows = math.ceil(channels / columns)
 
     magnitude = np.abs(bins)
-    largest = max(float(magnitude.max()), 1e-9)
+    largest = max(float(magnitude.max()), 1e-9)  # nothing is divided by 0 in an empty volume
     brightness = np.sqrt(magnitude / largest)[..., None]
     full_colour = np.where(bins[..., None] > 0, ON_COLOUR, OFF_COLOUR)
-    dark = np.array(NOTHING_COLOUR)
-    coloured = np.rint(dark + brightness * (full_colour - dark))
+    background = np.array(NOTHING_COLOUR)
+    coloured = np.rint(background + brightness * (full_colour - background))
 
+    # the bins have gaps of one pixel between them
     sheet = np.full((rows * (height + 1) - 1, columns * (width + 1) - 1, 3), GAP_COLOUR, np.uint8)
     for k in range(channels):
         row, column = divmod(k, columns)
@@ -268,28 +285,28 @@ def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
     return np.where(high >= -low, high, low)
 
 
-def class_text(now: Decision, classes: Sequence[str]) -> str:
+def class_text(decision: Decision, classes: Sequence[str]) -> str:
     """A text in Markdown about the open window: its class, and the likeliest classes.
 
     For a map model, the text lists the objects instead.
     """
-    if now.events == 0:
+    if decision.events == 0:
         return "# no event\n\nThe window has no event yet."
-    if now.objects is not None:
-        lines = [f"# {len(now.objects)} objects", ""]
+    if decision.objects is not None:
+        lines = [f"# {len(decision.objects)} objects", ""]
         lines += ["| number | class | probability | place |", "|---|---|---|---|"]
-        for o in now.objects:
-            place = f"{o.x:.0f}, {o.y:.0f}"
-            lines.append(f"| {o.id} | {_plain(o.label)} | {o.probability:.3f} | {place} |")
+        for item in decision.objects:
+            place = f"{item.x:.0f}, {item.y:.0f}"
+            lines.append(f"| {item.id} | {_plain(item.label)} | {item.probability:.3f} | {place} |")
         return "\n".join(lines) + "\n"
 
-    length_ms = (now.time_us - now.window_start_us) / 1e3
-    since = f"from {now.events:,} events in {length_ms:,.1f} ms"
-    lines = [f"# {_plain(now.label or 'nothing')}", ""]
-    lines += [f"with probability {now.probability:.3f}, {since}", ""]
+    length_ms = (decision.time_us - decision.window_start_us) / 1e3
+    evidence = f"from {decision.events:,} events in {length_ms:,.1f} ms"
+    lines = [f"# {_plain(decision.label or 'nothing')}", ""]
+    lines += [f"with probability {decision.probability:.3f}, {evidence}", ""]
     lines += ["| class | probability |", "|---|---|"]
-    for k in np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]:
-        lines.append(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |")
+    for k in np.argsort(-decision.probabilities, kind="stable")[:MOST_NAMED]:
+        lines.append(f"| {_plain(classes[k])} | {decision.probabilities[k]:.3f} |")
     return "\n".join(lines) + "\n"
 
 

@@ -36,7 +36,7 @@ LIVE_S = 1 / 60
 CHECK_S = 1.0
 """Seconds between flushes, which report a full disk and bound what waits for a slow viewer."""
 LAST_US = (1 << 63) // 1000
-"""Events must be before this time, in microseconds: Rerun counts nanoseconds in 64 bits."""
+"""Events must be before this time, in microseconds, because Rerun counts nanoseconds in 64 bits."""
 
 
 def import_rerun() -> Any:
@@ -59,8 +59,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         viewer is started.
     picture_us : recorded microseconds between pictures. Another picture is taken at the end of each
         window.
-    live : whether the stream has no end. Then there are at most 60 pictures a second of real time,
-        drawing takes at most half of the time, and the plots show only the last seconds.
+    live : whether the stream has no end. If so, there are at most 60 pictures a second of real
+        time, drawing takes at most half of the time, and the plots show only the last seconds.
     name : name of this recording in the viewer's list; by default a number.
     settings : keyword arguments of `Processor`. If windows overlap, the view shows the window that
         `Processor.fire` decides.
@@ -110,23 +110,24 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             _connect(self._stream, connect)
         else:
             _start_viewer(self._stream)
-        self._trouble = "the Rerun viewer was closed or does not respond"
+        self._error_text = "the Rerun viewer was closed or does not respond"
         if out is not None:
-            self._trouble = str(out)
+            self._error_text = str(out)
         elif connect is not None:
-            self._trouble = f"{connect}: {self._trouble}"
+            self._error_text = f"{connect}: {self._error_text}"
         if name is not None:
             self._stream.send_recording_name(name)
         self.log = StreamLog(rr, self._stream, config, live=live)
         """Writes the pictures; `log.n_pictures` counts them."""
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
+        # start of the first window; None before the first event
         self._origin_us: int | None = None
-        self._due_us = 0
-        self._newest_us = 0
+        self._due_us = 0  # moment of the next picture
+        self._newest_us = 0  # time of the newest event
         # packets that hold the events of the open window and those of the event image
         self._recent = [np.empty(0, EVENT_DTYPE)]
-        self._next_picture_s = 0.0
+        self._next_picture_s = 0.0  # a live stream has no picture before this time of the clock
 
     def push(self, events: Any) -> list[Decision]:
         """Classify a packet as `Processor.push` does, and log the pictures that are due.
@@ -153,7 +154,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         if self._origin_us is None:
             start_us = self.processor.start_us
             self._origin_us = int(newest[0]) if start_us is None else start_us
-            self._due_us = self._after(int(newest[0]))
+            self._due_us = self._next_due_us(int(newest[0]))
 
         decisions: list[Decision] = []
         # cut the packet where pictures are due
@@ -161,15 +162,15 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         while first < len(packet):
             if newest[first] >= self._due_us:
                 self._picture(self._due_us)
-                self._due_us = self._after(int(newest[first]))
-            last = int(np.searchsorted(newest, self._due_us))
-            part = packet[first:last]
-            new = self.processor.push(part)
-            self.log.add(new)
-            decisions += new
+                self._due_us = self._next_due_us(int(newest[first]))
+            stop = int(np.searchsorted(newest, self._due_us))
+            part = packet[first:stop]
+            new_decisions = self.processor.push(part)
+            self.log.add(new_decisions)
+            decisions += new_decisions
             self._recent.append(part)
-            self._newest_us = int(newest[last - 1])
-            first = last
+            self._newest_us = int(newest[stop - 1])
+            first = stop
         return decisions
 
     def finish(self) -> list[Decision]:
@@ -183,7 +184,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self._origin_us = None
         return decisions
 
-    def _after(self, t_us: int) -> int:
+    def _next_due_us(self, t_us: int) -> int:
         """The moment of the first picture after `t_us`."""
         assert self._origin_us is not None
         return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
@@ -194,30 +195,30 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         In a live stream, the picture is left out if the previous one was too short a time ago,
         unless it is the last one.
         """
-        clock_s = time.perf_counter()
-        now = self.processor.fire()
+        now_s = time.perf_counter()
+        decision = self.processor.fire()
         events = np.concatenate(self._recent)
         image_us = at_us - self._picture_us
-        self._recent = [events[events["t"] >= min(image_us, now.window_start_us)]]
-        if clock_s >= self._next_picture_s or last:
-            raw = self._raw_volume(events, now)
-            self.log.write(at_us, now, events[events["t"] >= image_us], raw, self.processor)
+        self._recent = [events[events["t"] >= min(image_us, decision.window_start_us)]]
+        if now_s >= self._next_picture_s or last:
+            raw = self._raw_volume(events, decision)
+            self.log.write(at_us, decision, events[events["t"] >= image_us], raw, self.processor)
             if self._live:
-                took_s = time.perf_counter() - clock_s
-                self._next_picture_s = clock_s + max(LIVE_S, 2 * took_s)
-        if clock_s >= self._next_check_s:
+                took_s = time.perf_counter() - now_s
+                self._next_picture_s = now_s + max(LIVE_S, 2 * took_s)
+        if now_s >= self._next_check_s:
             self._flush()
-            self._next_check_s = clock_s + CHECK_S
+            self._next_check_s = now_s + CHECK_S
 
-    def _raw_volume(self, events: np.ndarray, now: Decision) -> np.ndarray:
+    def _raw_volume(self, events: np.ndarray, decision: Decision) -> np.ndarray:
         """The open window's volume without the transform: float32, shape (C, H, W).
 
         The array is valid until the next call.
         """
         self._raw.reset()
-        self._raw.open(now.window_start_us)
-        if now.events:
-            self._raw.update(events[events["t"] >= now.window_start_us])
+        self._raw.open(decision.window_start_us)
+        if decision.events:
+            self._raw.update(events[events["t"] >= decision.window_start_us])
         return self._raw.array
 
     def close(self) -> None:
@@ -231,9 +232,9 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         try:
             self.finish()
         finally:
-            self._end()
+            self._complete_file()
 
-    def _end(self) -> None:
+    def _complete_file(self) -> None:
         """Wait until everything is written, and give the file its name."""
         try:
             self._flush()
@@ -249,7 +250,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
 
     def _flush(self) -> None:
         """Wait until everything that was logged is written. An OSError if it cannot be written."""
-        with _as_os_error(self._trouble):
+        with _as_os_error(self._error_text):
             self._stream.flush(timeout_sec=PATIENCE_S)
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
@@ -264,7 +265,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
 
 
 def _save(stream: Any, path: Path) -> Replacement:
-    """Send a stream to the file NAME.rrd.part, which is renamed when it is complete."""
+    """Send a stream to the file NAME.rrd.part, which becomes NAME.rrd when it is complete."""
     check_writable(path, SUFFIXES)
     file = Replacement(path)
     try:
@@ -294,8 +295,8 @@ def _connect(stream: Any, url: str) -> None:
     if not parts.hostname or parts.path != "/proxy":
         raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
     address = (parts.hostname, parts.port or DEFAULT_PORT)
-    # Try to connect first: without a viewer, the SDK would wait for seconds, and print lines of its
-    # own.
+    # A connection is tried first, because without a viewer the SDK would wait for seconds, and
+    # print lines of its own.
     try:
         socket.create_connection(address, timeout=PATIENCE_S).close()
     except OSError:
@@ -305,7 +306,7 @@ def _connect(stream: Any, url: str) -> None:
 
 
 @contextlib.contextmanager
-def _as_os_error(what: object) -> Iterator[None]:
+def _as_os_error(subject: object) -> Iterator[None]:
     """Turn an error of the SDK into an OSError of one line.
 
     Such an error is a full disk, or a viewer that was closed.
@@ -313,7 +314,7 @@ def _as_os_error(what: object) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        raise OSError(f"{what}: {' '.join(str(error).split())}") from None
+        raise OSError(f"{subject}: {' '.join(str(error).split())}") from None
 
 
 def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:

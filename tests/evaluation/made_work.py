@@ -5,7 +5,7 @@ import signal
 import time
 
 from async_tnt.evaluation.job import Job, task_of
-from async_tnt.evaluation.records import evaluate_recording, failed
+from async_tnt.evaluation.records import evaluate_recording, failed_record
 
 JOB = Job("digits", model_sha256="a" * 64)
 
@@ -22,7 +22,7 @@ def make_tasks(folder, names, job=JOB):
 def record_of(task):
     """A complete record, which depends only on the file's content, apart from the seconds."""
     text = task.path.read_text()
-    return failed(task, "") | {
+    return failed_record(task, "") | {
         "label": text,
         "probabilities": [0.1 + 0.2, 0.75],
         "decisions": [{"events": len(text)}] * (1 + len(text) % 3),

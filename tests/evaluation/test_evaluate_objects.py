@@ -352,9 +352,11 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_
     assert list(found) == [0.3, 0.5, 1.0]
     for share, scores in found.items():
         expected = scored_by_hand(model, events, rows, share)
-        assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, (
-            share
-        )
+        assert [
+            scores.n_present.tolist(),
+            scores.n_found.tolist(),
+            scores.n_right.tolist(),
+        ] == expected, share
         there, n_found, right = np.sum(expected, axis=1).tolist()
         assert (5 if share == 1 else 0) < right < there
         assert scores.f1 == 2 * right / (there + n_found)
@@ -402,7 +404,7 @@ def test_memory_does_not_grow_with_the_time_between_moments(saved):
         unknown={},
     )
     scores = score_recording(load_model(saved), Packets(), table)
-    assert scores[1.0].right.sum() == 1 and max(n_alive) <= 5
+    assert scores[1.0].n_right.sum() == 1 and max(n_alive) <= 5
 
 
 def test_memory_does_not_grow_with_the_number_of_moments(saved):
@@ -434,7 +436,7 @@ def test_memory_does_not_grow_with_the_number_of_moments(saved):
         scores = score_recording(load_model(saved), Packets(), table)
     finally:
         tracemalloc.stop()
-    assert scores[1.0].right.sum() == n_packets
+    assert scores[1.0].n_right.sum() == n_packets
     # the recording is read twice, at first for the times of its packets alone
     *_, early, late = bytes_held
     assert late - early < 4 * n_events * EVENT_DTYPE.itemsize
@@ -507,7 +509,7 @@ def test_matches_by_hand():
     middles = np.array([[10.0, 10], [40, 40], [50, 13]])
 
     def n_right(found, labels, middles, reach):
-        return int(score_objects(found, labels, middles, reach, 2).right.sum())
+        return int(score_objects(found, labels, middles, reach, 2).n_right.sum())
 
     assert n_right(found, labels, middles, 3.0) == 2
     assert n_right(found, labels, middles, 2.0) == 1
@@ -535,7 +537,7 @@ def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
                 away = np.array([across * np.cos(angle), down * np.sin(angle)])
                 found[0, [X, Y]] = middle[0] + share * away
                 scores = score_objects(found, np.zeros(1, int), middle, reach, 1)
-                assert scores.right.sum() == right, (reach, angle)
+                assert scores.n_right.sum() == right, (reach, angle)
 
 
 CELLS = st.one_of(

@@ -27,7 +27,7 @@ from waiting import until
 from async_tnt.base.worker import Worker, WorkerEnded
 from async_tnt.evaluation import processes as ways
 from async_tnt.evaluation.processes import run_all, run_on_dask
-from async_tnt.evaluation.records import lost
+from async_tnt.evaluation.records import lost_record
 
 posix = pytest.mark.skipif(os.name != "posix", reason="kill -9 of POSIX")
 replacing_workers = pytest.mark.parametrize("run", ["processes", "dask"], indirect=True)
@@ -35,7 +35,7 @@ NAMES = [f"{k:02d}" for k in range(40)]
 
 
 def test_every_task_is_done_once(run, tmp_path):
-    records = list(run(record_of, make_tasks(tmp_path / "set", NAMES), lost=lost))
+    records = list(run(record_of, make_tasks(tmp_path / "set", NAMES), lost=lost_record))
     assert sorted(record["label"] for record in records) == NAMES
 
 
@@ -43,7 +43,7 @@ def test_every_task_is_done_once(run, tmp_path):
 @replacing_workers
 def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, tmp_path, request):
     names = [*NAMES[:10], "poison", *NAMES[10:20]]
-    records = list(run(deadly, make_tasks(tmp_path / "set", names), lost=lost))
+    records = list(run(deadly, make_tasks(tmp_path / "set", names), lost=lost_record))
     assert sorted(record["recording"] for record in records) == sorted(names)
     errors = {
         record["recording"]: record["error"] for record in records if record["error"] is not None
@@ -147,7 +147,9 @@ def test_a_cluster_without_workers(empty_cluster, tmp_path, monkeypatch):
         ConnectionError,
         match=r"has no workers: start some, with one thread each: dask worker tcp://",
     ):
-        list(run_on_dask(record_of, make_tasks(tmp_path / "set", ["00"]), empty_cluster, lost))
+        list(
+            run_on_dask(record_of, make_tasks(tmp_path / "set", ["00"]), empty_cluster, lost_record)
+        )
 
 
 def test_an_address_where_no_scheduler_answers(tmp_path, monkeypatch):
@@ -159,4 +161,4 @@ def test_an_address_where_no_scheduler_answers(tmp_path, monkeypatch):
         for address in ("nowhere", "tcp://a:b", f"tcp://127.0.0.1:{server.getsockname()[1]}"):
             expected = f"no Dask scheduler answers at '{address}'; expected the address that"
             with pytest.raises(ConnectionError, match=f"{expected} `dask scheduler`"):
-                list(run_on_dask(record_of, tasks, address, lost))
+                list(run_on_dask(record_of, tasks, address, lost_record))

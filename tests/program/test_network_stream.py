@@ -10,7 +10,7 @@ from listening import free_port, sent
 from waiting import PATIENCE_S
 
 from async_tnt import Processor, load_model
-from async_tnt.cli.packets import find_sources
+from async_tnt.cli.packets import check_sources
 from async_tnt.sources import Pixels, UdpSource, open_source
 from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 from async_tnt.sources.pixels.model_pixels import ModelPixels
@@ -136,12 +136,12 @@ def test_of_sources_that_cannot_be_opened_the_last_is_the_error_and_the_others_a
     url = f"udp://127.0.0.1:{port}"
     paths = [tmp_path / "a.npy", url + "?format=jpeg", tmp_path / "b.npy"]
     with pytest.raises(FileNotFoundError, match=r"b\.npy"):
-        find_sources(paths, pixels)
+        check_sources(paths, pixels)
     first, second = capsys.readouterr().err.splitlines()
     assert "a.npy" in first and "`format` must be one of" in second
     # the first that can be opened is closed again, and the others are not tried
-    find_sources([tmp_path / "a.npy", url, tmp_path / "b.npy"], pixels)
-    find_sources([sample_recordings()[7], tmp_path / "b.npy"], pixels)
+    check_sources([tmp_path / "a.npy", url, tmp_path / "b.npy"], pixels)
+    check_sources([sample_recordings()[7], tmp_path / "b.npy"], pixels)
     UdpSource(port=port).close()
     assert capsys.readouterr().err == ""
 

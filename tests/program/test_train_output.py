@@ -175,8 +175,9 @@ def test_motions_that_were_found_are_told_and_few_are_warned_of(n_found, is_warn
     train._note_motions(record)
     first, *lines = capsys.readouterr().err.splitlines()
     assert first == (
-        f"motion found in {n_found} of 100 windows, in 3 only with those beside them; the others "
-        f"are used as recorded only (too few events 70, it jumps {30 - n_found})"
+        f"motion found in {n_found} of 100 windows, in 3 of them only with the neighbouring "
+        "windows; the other windows are used only as recorded (too few events 70, it jumps "
+        f"{30 - n_found})"
     )
     assert any("so few motions hardly change" in line for line in lines) == is_warned
     assert not any("windows differ" in line for line in lines)
@@ -185,6 +186,6 @@ def test_motions_that_were_found_are_told_and_few_are_warned_of(n_found, is_warn
     train._note_motions(record)
     first, *lines = capsys.readouterr().err.splitlines()
     assert first == (
-        f"motion found in {n_found} of 100 windows; the others are used as recorded only"
+        f"motion found in {n_found} of 100 windows; the other windows are used only as recorded"
     )
-    assert "recorded and simulated windows differ in ON share: compare" in lines[-1]
+    assert "recorded and simulated windows differ in ON share. Compare" in lines[-1]

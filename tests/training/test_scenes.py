@@ -144,11 +144,11 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
         CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc")), windows
     )
     pipeline = Pipeline(CONFIG, net)
-    assert scores.after(pipeline, 1.0).there.sum() > 20
+    assert scores.after(pipeline, 1.0).n_present.sum() > 20
     with torch.no_grad():
         net[0].bias.fill_(np.nan)
     found = scores.after(pipeline, 1.0)
-    assert (found.found.sum(), found.f1, pipeline.training) == (0, 0.0, True)
+    assert (found.n_found.sum(), found.f1, pipeline.training) == (0, 0.0, True)
 
 
 def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
@@ -267,7 +267,7 @@ def test_early_in_a_window_few_objects_are_there():
     model = Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc"))
     scores = SceneScores(CONFIG, model, windows)
     pipeline = Pipeline(CONFIG, net)
-    there = [scores.after(pipeline, share).there.sum() for share in (0.05, 0.5, 1.0)]
+    there = [scores.after(pipeline, share).n_present.sum() for share in (0.05, 0.5, 1.0)]
     assert there[0] == 0 and 5 < there[1] < there[2]
     words = scores.to_dict(pipeline)
     # of 1 ms

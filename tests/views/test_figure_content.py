@@ -119,10 +119,10 @@ def test_slices_are_the_bins_of_the_volumes(polarity):
 def test_the_time_of_a_bin_is_that_of_the_events_that_it_holds_alone(bins):
     config = async_tnt.TNTConfig(window_us=8_000, bins=bins, transform="none")
     for k in range(max(1, bins - 1)):
-        time_ms = float(figure_window.bin_ms(config, k).removesuffix(" ms"))
+        time_ms = float(figure_window.bin_time(config, k).removesuffix(" ms"))
         volume = opened(config, events_of([round(1e3 * time_ms)], [5], [4], [1]))
         assert np.flatnonzero(volume.array[:, 4, 5]).tolist() == [k]
-    assert bins == 1 or figure_window.bin_ms(config, bins - 1) == "8 ms"  # the window's end
+    assert bins == 1 or figure_window.bin_time(config, bins - 1) == "8 ms"  # the window's end
 
 
 def test_probabilities_are_those_of_the_streams_decisions():

@@ -28,12 +28,12 @@ class SourceError(ParameterValueError):
     'a.npy: its pixels are not known: give SENSOR'
     """
 
-    def text(self, written: Mapping[str, str] | None = None) -> str:
-        """The message. Parameters have the names that `written` gives them, or else backticks."""
-        known = written or {}
+    def text(self, option_names: Mapping[str, str] | None = None) -> str:
+        """The message. Parameters have the names in `option_names`, or else backticks."""
+        names = option_names or {}
 
         def name_of(match: re.Match[str]) -> str:
-            return known.get(match[1], f"`{match[1]}`")
+            return names.get(match[1], f"`{match[1]}`")
 
         sentence = re.sub(r"\{(\w+)\}", name_of, self.rule)
         return f"{self.name}: {sentence}" if self.name else sentence
