@@ -1,4 +1,4 @@
-"""The torch form of an operation: what calls it in torch, and how a call becomes layers."""
+"""The torch form of an operation: which calls in torch compute it, and how they become layers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ArgumentsRule = Callable[[fx.Node], dict[str, Any]]
 """Finds the arguments of a call by name, for an operation whose arguments have no fixed order."""
 
 INPLACE = {"inplace": False}
-"""The parameter, with its default, of modules and functions that may work in place."""
+"""The parameter `inplace` of modules and functions that may work in place, with its default."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class TorchForm:
         """
         if self.arguments_of is not None:
             return self.arguments_of(node)
-        # a module has its parameters as attributes; a function takes them behind its inputs
+        # a module has its parameters as attributes; a function takes them behind the inputs
         names = [*self.inputs]
         if module is None:
             names += [*self.parameters, "out"]
@@ -64,7 +64,7 @@ class TorchForm:
         unknown += [name for name in given if name not in names]
         if unknown:
             raise NotImplementedError(f"the argument {unknown[0]!r} has no compiled form")
-        # without a module, `getattr` gives the default
+        # `getattr` gives the default if `module` is None
         defaults = {name: getattr(module, name, value) for name, value in self.parameters.items()}
         return {**defaults, **given}
 
@@ -72,12 +72,12 @@ class TorchForm:
 def plain_layer(op: str) -> Rule:
     """A rule that adds a layer with one input and no parameters."""
 
-    def rule(made: LayerList, call: Call) -> str:
-        return made.add(op, call)
+    def rule(layer_list: LayerList, call: Call) -> str:
+        return layer_list.add(op, call)
 
     return rule
 
 
-def same_layer(made: LayerList, call: Call) -> str:
+def same_layer(layer_list: LayerList, call: Call) -> str:
     """The rule of a call that passes its input on: it adds no layer."""
-    return made.source(call["input"])
+    return layer_list.source(call["input"])
