@@ -25,17 +25,17 @@ HARDLY = 0.03
 
 def accuracy() -> str:
     """A short table of `digits`: how often it is right, and how soon."""
-    found = results("early")
+    report = results("early")
     rows = []
-    for row in found["accuracy_against_time"]:
+    for row in report["accuracy_against_time"]:
         if row["time_us"] in SHORT_US:
-            words = f"a window, after {row['time_us'] / 1000:g} ms"
-            rows.append([words, "", percent(row["accuracy"])])
-    for row in found["confidence"]:
+            decided = f"a window, after {row['time_us'] / 1000:g} ms"
+            rows.append([decided, "", percent(row["accuracy"])])
+    for row in report["confidence"]:
         if row["level"] >= LEAST_CONFIDENCE:
-            words = f"a window, once a class has {row['level']:g}"
-            rows.append([words, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
-    rows.append(["a recording, by the mean of its windows", "", percent(found["accuracy"])])
+            decided = f"a window, once a class has {row['level']:g}"
+            rows.append([decided, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
+    rows.append(["a recording, by the mean of its windows", "", percent(report["accuracy"])])
     return table(["decided", "median time", "right"], rows)
 
 
@@ -43,10 +43,10 @@ def digits_against_time() -> str:
     """A table of the share of test windows that `digits` has right, by the time shown of them."""
     times = list(_record()["test"]["against_time_ms"])
     rows = []
-    for part, words in WINDOWS.items():
-        found = _record()[part]
-        shares = [found["against_time_ms"][ms] for ms in times]
-        rows.append([words, *map(percent, (*shares, found["per_recording"]))])
+    for part, title in WINDOWS.items():
+        test = _record()[part]
+        shares = [test["against_time_ms"][ms] for ms in times]
+        rows.append([title, *map(percent, (*shares, test["per_recording"]))])
     return table(["windows", *(f"{ms} ms" for ms in times), "recordings"], rows)
 
 
@@ -182,7 +182,8 @@ def _unseen(found: dict[str, Any]) -> str:
     accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [
-        [mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()
+        [mode, *(with_range(results_by_test[test]["seeds"]) for test in tests)]
+        for mode, results_by_test in accuracy.items()
     ]
     closed = share_closed(accuracy)
     if closed:
@@ -240,12 +241,12 @@ def nothing(found: dict[str, Any]) -> str:
 
 def early() -> str:
     """A table of early decisions, by time and by confidence."""
-    found = results("early")
+    report = results("early")
     rows = [
         [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]
-        for row in found["accuracy_against_time"]
+        for row in report["accuracy_against_time"]
     ]
-    for row in found["confidence"]:
+    for row in report["confidence"]:
         shares = (percent(row[name]) for name in ("window_accuracy", "decided", "accuracy"))
         rows.append(
             [
