@@ -69,7 +69,7 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
         place_y = float((weights.sum(1) * ys).sum() / weights.sum())
         probability = float(probabilities[index, row, column])
         objects.append(FoundObject(index, probability, place_x, place_y))
-    return sorted(objects, key=lambda one: -one.probability)
+    return sorted(objects, key=lambda found_object: -found_object.probability)
 
 
 class _KnownObject(NamedTuple):

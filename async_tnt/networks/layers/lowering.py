@@ -77,47 +77,48 @@ def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
     A pooling may leave the last rows and columns of its input unread. If no other step reads these
     rows and columns, they are not computed.
     """
-    needed: dict[Map, tuple[int, int]] = {}  # map -> how many of its rows and columns are read
-    used_steps = []
+    # map -> how many of its rows and columns are read
+    needed_sides: dict[Map, tuple[int, int]] = {}
+    used_steps_reversed = []
     # from the last step to the first, so that all readers of a map come before its writers
     for step in reversed(steps):
         if step.output not in keep:
-            if step.output not in needed:
+            if step.output not in needed_sides:
                 continue
-            step.rows, step.columns = needed[step.output]
+            step.rows, step.columns = needed_sides[step.output]
         rows, columns = step.reads
-        for part in step.inputs:
-            rows_before, columns_before = needed.get(part, (1, 1))
-            needed[part] = (
-                min(max(rows_before, rows), part.rows),
-                min(max(columns_before, columns), part.columns),
+        for input_map in step.inputs:
+            rows_before, columns_before = needed_sides.get(input_map, (1, 1))
+            needed_sides[input_map] = (
+                min(max(rows_before, rows), input_map.rows),
+                min(max(columns_before, columns), input_map.columns),
             )
-        used_steps.append(step)
-    return used_steps[::-1]
+        used_steps_reversed.append(step)
+    return used_steps_reversed[::-1]
 
 
 def _give_frames(steps: list[Step]) -> None:
     """Give each map the frame that its readers need; the inputs of a step get the same frame."""
     for step in steps:
         rows, columns = step.reads
-        for part in step.inputs:
-            below = max(0, rows - part.rows)
-            right = max(0, columns - part.columns)
-            _widen(part, (*step.padding, below, right))
+        for input_map in step.inputs:
+            below = max(0, rows - input_map.rows)
+            right = max(0, columns - input_map.columns)
+            _widen(input_map, (*step.padding, below, right))
 
     # A map may be an input of several steps. So a wider frame of one map may widen further frames.
     has_widened = True
     while has_widened:
         has_widened = False
         for step in steps:
-            for part in step.inputs:
-                for other in step.inputs:
-                    has_widened |= _widen(part, other.frame)
+            for input_map in step.inputs:
+                for other_input in step.inputs:
+                    has_widened |= _widen(input_map, other_input.frame)
 
 
-def _widen(part: Map, frame: Sequence[int]) -> bool:
+def _widen(widened_map: Map, frame: Sequence[int]) -> bool:
     """Make a map's frame at least as wide as `frame`; returns whether that changed anything."""
-    before = part.frame
+    before = widened_map.frame
     top, left, bottom, right = map(max, before, frame)
-    part.frame = (top, left, bottom, right)
-    return part.frame != before
+    widened_map.frame = (top, left, bottom, right)
+    return widened_map.frame != before

@@ -171,10 +171,10 @@ class _MapsLayout:
     def empty_maps(self) -> np.ndarray:
         """A new array `maps`. Each map and its frame hold the map's `fill`, which is mostly 0."""
         values = aligned(self.size, np.float32)
-        for part, first in self.firsts.items():
-            if part.fill:
-                begin = first - part.origin
-                values[begin : begin + part.size] = part.fill
+        for layer_map, first in self.firsts.items():
+            if layer_map.fill:
+                begin = first - layer_map.origin
+                values[begin : begin + layer_map.size] = layer_map.fill
         return values
 
 
@@ -193,9 +193,9 @@ def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
     firsts = {volume: numbers.take(volume.size) + volume.origin}
     n_input = numbers.size
     for step in steps:
-        part = step.output
-        if part not in firsts:
-            firsts[part] = numbers.take(part.size) + part.origin
+        output = step.output
+        if output not in firsts:
+            firsts[output] = numbers.take(output.size) + output.origin
     if numbers.size > 2 * graph.MAX_NUMBERS:
         raise ValueError(
             f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}"
@@ -247,7 +247,7 @@ class _ProgramWriter:
         program[P.OUTPUT] = layout.firsts[output]
         program[P.OUTPUT_DY] = output.pitch
 
-        most_places = max(part.rows * part.columns for part in layout.firsts)
+        most_places = max(layer_map.rows * layer_map.columns for layer_map in layout.firsts)
         program[P.LIST] = self.places.take(most_places + 2)
         self._write_scratch()
         self._write_changes(program, P.INPUT_CHANGED, volume.rows, volume.columns)
@@ -258,7 +258,7 @@ class _ProgramWriter:
 
         Zeros lie before and behind the row, for the windows of steps that reach beyond the map.
         """
-        n_words = max(_words(part.columns) for part in self._layout.firsts)
+        n_words = max(_words(layer_map.columns) for layer_map in self._layout.firsts)
         n_before = max(_words(step.padding[1]) for step in self._steps)
         n_seen = max(_words_seen(step) for step in self._steps)
         # `places` is counted in uint32 numbers, of which two make a uint64 word
@@ -302,7 +302,9 @@ class _ProgramWriter:
         """Write where the changes of the step's inputs are recorded, and where the inputs lie."""
         # where in the program each record of changes begins
         sources = [
-            self.records[writer] + P.CHANGED for part in step.inputs for writer in part.writers
+            self.records[writer] + P.CHANGED
+            for input_map in step.inputs
+            for writer in input_map.writers
         ]
         if self._layout.volume in step.inputs:
             sources.append(P.INPUT_CHANGED)
@@ -360,11 +362,11 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
     A run is a tap, or a whole row of taps, see `kernels.network.program`.
     """
     taps = []
-    for part in step.inputs:
-        row_distance = step.dilation[0] * part.pitch
-        column_distance = step.dilation[1] * part.channels
+    for input_map in step.inputs:
+        row_distance = step.dilation[0] * input_map.pitch
+        column_distance = step.dilation[1] * input_map.channels
         above, before = step.padding
-        origin = firsts[part] - above * part.pitch - before * part.channels
+        origin = firsts[input_map] - above * input_map.pitch - before * input_map.channels
         for i in range(step.kernel[0]):
             for j in range(step.kernel[1]):
                 taps.append(origin + i * row_distance + j * column_distance)

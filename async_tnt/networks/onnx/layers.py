@@ -79,9 +79,9 @@ class OnnxLayers:
 
         If a node becomes several layers, the last of them computes the node's output.
         """
-        taken = {VOLUME, *(layer["name"] for layer in self.layers)}
+        used_names = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = node.outputs[0]
-        while name in taken:
+        while name in used_names:
             name += "_"
         inputs = [self.layer_name(source) for source in sources]
         self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})

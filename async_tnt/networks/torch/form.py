@@ -56,17 +56,17 @@ class TorchForm:
         if self.arguments_of is not None:
             return self.arguments_of(node)
         # a module has its parameters as attributes; a function takes them behind the inputs
-        names = [*self.inputs]
+        known_names = [*self.inputs]
         if module is None:
-            names += [*self.parameters, "out"]
-        given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
-        unknown = [*node.args[len(names) :]]
-        unknown += [name for name in given if name not in names]
-        if unknown:
-            raise NotImplementedError(f"the argument {unknown[0]!r} has no compiled form")
+            known_names += [*self.parameters, "out"]
+        given_arguments = {**dict(zip(known_names, node.args, strict=False)), **node.kwargs}
+        unknown_arguments = [*node.args[len(known_names) :]]
+        unknown_arguments += [name for name in given_arguments if name not in known_names]
+        if unknown_arguments:
+            raise NotImplementedError(f"the argument {unknown_arguments[0]!r} has no compiled form")
         # `getattr` gives the default if `module` is None
         defaults = {name: getattr(module, name, value) for name, value in self.parameters.items()}
-        return {**defaults, **given}
+        return {**defaults, **given_arguments}
 
 
 def plain_layer(op: str) -> Rule:

@@ -353,5 +353,5 @@ def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:
         return True
     if not isinstance(function, FunctionType):
         return False
-    given = inspect.signature(function).bind(*node.args, **node.kwargs).arguments
-    return not function.__module__.startswith("torch.") or bool(given.get("inplace"))
+    arguments = inspect.signature(function).bind(*node.args, **node.kwargs).arguments
+    return not function.__module__.startswith("torch.") or bool(arguments.get("inplace"))

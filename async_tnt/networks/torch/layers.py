@@ -69,11 +69,11 @@ class LayerList:
         ----------
         sources : the layer's inputs, nodes or names of layers; by default the call's only input.
         """
-        taken = {VOLUME, *(layer["name"] for layer in self.layers)}
+        used_names = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = call.node.name
-        if call.module is not None and str(call.node.target) not in taken:
+        if call.module is not None and str(call.node.target) not in used_names:
             name = str(call.node.target)
-        while name in taken:
+        while name in used_names:
             name += "_"
         nodes = [call["input"]] if sources is None else sources
         inputs = [self.source(node) for node in nodes]
