@@ -94,9 +94,8 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
     """The report on `n` recordings, spread evenly over all recordings."""
     split, recordings = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
-    image_indices = np.array(sorted(recordings))[
-        np.unique(np.linspace(0, len(recordings) - 1, n).astype(int))
-    ]
+    places = np.unique(np.linspace(0, len(recordings) - 1, n).astype(int))
+    image_indices = np.array(sorted(recordings))[places]
     unit_vectors = directions()
     n_bins = len(ANGLES_DEG) - 1
     # sums over all edges, by the angle between gradient and motion

@@ -161,9 +161,8 @@ def wander_table() -> None:
         landmarks_of_objects = [
             tnt_reference.landmark(landmark, t, *points(seed), **REFERENCE) for seed in range(400)
         ]
-        strays = np.stack(
-            [landmarks.numpy() - 100 for landmarks in landmarks_of_objects]
-        )  # (objects, N, 2)
+        # (objects, N, 2)
+        strays = np.stack([landmarks.numpy() - 100 for landmarks in landmarks_of_objects])
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)

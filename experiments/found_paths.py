@@ -220,8 +220,8 @@ def noise(n: int) -> dict[str, Any]:
     for kind in NOISE:
         windows = noise_windows(kind, n, rng)
         paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, MeasuredPixels())
-        found = float(np.mean([not path.refused for path in paths]))
-        rows[f"noise, {kind}"] = {"windows": n, "found": found}
+        found_share = float(np.mean([not path.refused for path in paths]))
+        rows[f"noise, {kind}"] = {"windows": n, "found": found_share}
     return rows
 
 

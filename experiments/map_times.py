@@ -98,8 +98,10 @@ def models() -> dict[str, Model]:
     bundled = load_model("digits-everywhere")
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        made = Model.from_torch(four(bundled.config.channels), bundled.config, bundled.classes)
-    return {"digits-everywhere": bundled, "four convolutions": made}
+        random_model = Model.from_torch(
+            four(bundled.config.channels), bundled.config, bundled.classes
+        )
+    return {"digits-everywhere": bundled, "four convolutions": random_model}
 
 
 def moving(
@@ -152,7 +154,7 @@ def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network
 
 def _objects(decision: Decision) -> list[Any]:
     """The objects of a decision without their numbers, which depend on earlier decisions."""
-    return [replace(found, id=0) for found in decision.objects or ()]
+    return [replace(found_object, id=0) for found_object in decision.objects or ()]
 
 
 def times(model: Model, n_moments: int) -> dict[str, Any]:

@@ -122,8 +122,8 @@ def measure(
     # this stream warms the processor up
     share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
-    # A line is fitted to the shares. Its slope is the seconds of an event. Its intercept is the share
-    # of a core that is used without events.
+    # A line is fitted to the shares. Its slope is the seconds of an event. Its intercept is the
+    # share of a core that is used without events.
     event_s, share_at_rest = map(float, np.polyfit(RATES, shares, 1))
     sustained = (1.0 - share_at_rest) / event_s
     streams = {f"{load:g}": under_load(processor, load * sustained, seconds) for load in loads}

@@ -86,12 +86,13 @@ def compare(
         columns["simulated"] = describe_motions(
             _counted(simulated, bar), SACCADE_CUTS_US, directions
         )
-        shared_images = (
-            [i for i in shown_images if i in set(set_images)] if shown_split == split else []
-        )
-        described_images = (
-            shared_images if len(shared_images) >= len(shown_images) / 2 else _spread(set_images)
-        )
+        shared_images = []
+        if shown_split == split:
+            shared_images = [i for i in shown_images if i in set(set_images)]
+        # with too few shared images, the statistics of the set would be noisy
+        described_images = shared_images
+        if len(shared_images) < len(shown_images) / 2:
+            described_images = _spread(set_images)
         columns["this set"] = _describe_set(moving_set, described_images, bar, directions)
     return columns
 

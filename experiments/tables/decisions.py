@@ -97,24 +97,24 @@ def _cell(times: dict[str, Any], name: str) -> str:
 
 
 network_in_blocks = of_report("decisions")(
-    lambda found: _turns(found["network"], "in_blocks", NETWORKS)
+    lambda report: _turns(report["network"], "in_blocks", NETWORKS)
 )
 network_call_by_call = of_report("decisions")(
-    lambda found: _turns(found["network"], "call_by_call", NETWORKS)
+    lambda report: _turns(report["network"], "call_by_call", NETWORKS)
 )
 end_to_end_call_by_call = of_report("decisions")(
-    lambda found: _turns(found["end_to_end"], "call_by_call", WAYS)
+    lambda report: _turns(report["end_to_end"], "call_by_call", WAYS)
 )
 
 
 @of_report("decisions")
-def end_to_end_in_blocks(found: dict[str, Any]) -> str:
+def end_to_end_in_blocks(report: dict[str, Any]) -> str:
     """A table of the times from a packet to the decision, in blocks."""
-    return _turns(found["end_to_end"], "in_blocks", WAYS)
+    return _turns(report["end_to_end"], "in_blocks", WAYS)
 
 
 @of_report("decisions")
-def every_event(found: dict[str, Any]) -> str:
+def every_event(report: dict[str, Any]) -> str:
     """A table of decisions a second, with a decision after every event."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
     body = [
@@ -124,13 +124,13 @@ def every_event(found: dict[str, Any]) -> str:
             short(row["us"]["median"]),
             f"{row['ratio']['median']:.1f}" if "ratio" in row else "",
         ]
-        for name, row in found["every_event"].items()
+        for name, row in report["every_event"].items()
     ]
     return table(["", "decisions a second", "us each", "ratio"], body)
 
 
 @of_report("starts")
-def starts(found: dict[str, Any]) -> str:
+def starts(report: dict[str, Any]) -> str:
     """A table of the seconds to a first decision, by step."""
     names = {
         "ours_cold": "async_tnt, nothing compiled yet",
@@ -147,7 +147,7 @@ def starts(found: dict[str, Any]) -> str:
     }
     body = [
         [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
-        for name, row in found["starts"].items()
+        for name, row in report["starts"].items()
     ]
     return table(["seconds", *steps.values()], body)
 

@@ -38,18 +38,23 @@ def thesis_sets() -> str:
         for difference in _differences()
         if holds(difference)
     }
-    shown_columns = [(on, row) for on in ("all", "1") for row in (BASELINE, *TRANSFORMED)]
+    shown_columns = [
+        (trained_on, row) for trained_on in ("all", "1") for row in (BASELINE, *TRANSFORMED)
+    ]
 
     body = []
     for name, (kind, is_dark) in SETS.items():
         cells = []
-        for on, row in shown_columns:
-            column = f"{on}/{name}"
+        for trained_on, row in shown_columns:
+            column = f"{trained_on}/{name}"
             text = cell(accuracies.get(row, {}).get(column))
             cells.append(f"**{text}**" if (row, column) in held else text)
         colours = "dark on bright" if is_dark else "bright on dark"
         body.append([f"{name}: {kind}, {colours}", *cells])
-    return table(["tested on", *(f"{on}: {ROWS[row].title}" for on, row in shown_columns)], body)
+    return table(
+        ["tested on", *(f"{trained_on}: {ROWS[row].title}" for trained_on, row in shown_columns)],
+        body,
+    )
 
 
 def effects() -> str:
@@ -64,7 +69,10 @@ def effects() -> str:
     body = []
     for name, effect_by_column in by_name.items():
         body.append([name, *(_with_interval(effect_by_column[column]) for column in columns)])
-    head = ["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)]
+    head = [
+        "gain over the Baseline",
+        *(f"{trained_on}: {ROWS[row].title}" for trained_on, row in columns),
+    ]
     return table(head, body)
 
 
@@ -142,13 +150,15 @@ def thesis_answers() -> str:
     body = []
     for name in SETS:
         cells = [
-            means.get((row, f"{on}/{name}"), "") for on in titles_of_training for row in TRANSFORMED
+            means.get((row, f"{trained_on}/{name}"), "")
+            for trained_on in titles_of_training
+            for row in TRANSFORMED
         ]
         if any(cells):
             body.append([name, *cells])
     column_titles = [
-        f"{ROWS[row].title}, {words}"
-        for words in titles_of_training.values()
+        f"{ROWS[row].title}, {training_title}"
+        for training_title in titles_of_training.values()
         for row in TRANSFORMED
     ]
     sentence = (

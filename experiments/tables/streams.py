@@ -59,7 +59,7 @@ def udp_load() -> str:
 
 
 @of_report("bench")
-def volumes(found: dict[str, Any]) -> str:
+def volumes(report: dict[str, Any]) -> str:
     """A table of the nanoseconds per event by the size of a packet.
 
     A sentence on a whole window follows the table.
@@ -70,33 +70,33 @@ def volumes(found: dict[str, Any]) -> str:
         "packet_1300_columns": "packets of 1300, columns",
         "packet_1300_structured": "packets of 1300, structured",
     }
-    grids = found["volume"]
+    grids = report["volume"]
     rows = []
     for way, title in ways.items():
         medians = [grid["ns_per_event"][way]["median"] for grid in grids]
         rows.append([f"ns per event, {title}", *map(short, medians)])
-    whole = found["whole_window"]
+    whole = report["whole_window"]
     sentence = (
         f"A window of {whole['events']:,} events on 1280 x 720, opened, filled and read: "
         f"{short(whole['ns_per_event']['median'])} ns per event."
     )
     sizes = [" x ".join(map(str, grid["grid"])) for grid in grids]
-    return f"{table(['', *sizes], rows)}\n\n{sentence} {about_machine(found)}"
+    return f"{table(['', *sizes], rows)}\n\n{sentence} {about_machine(report)}"
 
 
 def memory() -> str:
     """A sentence on the growth of memory in a long stream."""
-    found = results("memory")
+    report = results("memory")
     return (
-        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions "
-        f"the process has grown by {found['grown_mb']:.1f} MB since the first million."
+        f"After {report['events'] / 1e6:.0f} million events and {report['decisions']:,} decisions "
+        f"the process has grown by {report['grown_mb']:.1f} MB since the first million."
     )
 
 
 @of_report("map_times")
-def map_times(found: dict[str, Any]) -> str:
+def map_times(report: dict[str, Any]) -> str:
     """A table of medians and 99th percentiles of the times of map models, by sensor."""
-    models = found["models"]
+    models = report["models"]
     cases = {
         "one event": "one more event",
         "1,000 events": "1,000 more",
@@ -116,9 +116,9 @@ def map_times(found: dict[str, Any]) -> str:
 
 
 @of_report("map_times")
-def map_load(found: dict[str, Any]) -> str:
+def map_load(report: dict[str, Any]) -> str:
     """A table of processor seconds for each second of a stream, by number of objects."""
-    models = found["models"]
+    models = report["models"]
     numbers = next(iter(models.values()))["load"]
     rows = [
         [name, *(f"{row['load'][n]:.2f}" for n in numbers)]
@@ -129,20 +129,20 @@ def map_load(found: dict[str, Any]) -> str:
 
 
 @of_report("threads")
-def threads(found: dict[str, Any]) -> str:
+def threads(report: dict[str, Any]) -> str:
     """A table of how much faster two streams are in two threads than one after the other."""
     titles = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",
         "every_us": "`Processor`, a decision every millisecond",
     }
-    head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
+    head = ["packets of", *(f"{int(n):,}" for n in report["volume"])]
     rows = []
     for case, title in titles.items():
-        ratios = [f"{ratio['median']:.2f}" for ratio in found[case].values()]
+        ratios = [f"{ratio['median']:.2f}" for ratio in report[case].values()]
         rows.append([title, *ratios])
     sentence = (
-        f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is "
+        f"A thread that waits for Python's lock runs on {report['wake_us']:.0f} us after it is "
         "released."
     )
     return f"{table(head, rows)}\n\n{sentence}"

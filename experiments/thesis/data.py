@@ -181,7 +181,7 @@ def make_set(
     )
 
 
-def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
+def simulated_windows(simulated_set: MovingMnist) -> Iterator[tuple[str, Windows]]:
     """For each shard of a set, the name of its motion and its windows.
 
     The name of a recording is the index of its image.
@@ -191,7 +191,7 @@ def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
     ValueError : a shard is damaged.
     FileNotFoundError : a shard is missing.
     """
-    for shard in made:
+    for shard in simulated_set:
         columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}
         recordings = Recordings(
             **columns,

@@ -75,10 +75,10 @@ def _means(results_by_seed: Mapping[int, dict[str, Any]], name: str) -> dict[str
 
 def in_order(columns: Iterable[str]) -> list[str]:
     """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
-    found = set(columns)
+    wanted = set(columns)
     trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
     order = [*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)]
-    return [column for column in order if column in found]
+    return [column for column in order if column in wanted]
 
 
 def summary(values: Sequence[float]) -> dict[str, float | None]:
@@ -134,7 +134,7 @@ def differences(right: Right) -> list[dict[str, Any]]:
     Dictionaries with "question", "row", "against", "column", "seeds" (how many), what `interval`
     gives, and "holm": p adjusted for all differences of the question.
     """
-    found: list[dict[str, Any]] = []
+    all_differences: list[dict[str, Any]] = []
     for question, pairs in QUESTIONS.items():
         question_differences: list[dict[str, Any]] = []
         for row, against in pairs:
@@ -151,8 +151,8 @@ def differences(right: Right) -> list[dict[str, Any]]:
         adjusted = holm([difference["p"] for difference in question_differences])
         for difference, p in zip(question_differences, adjusted, strict=True):
             difference["holm"] = p
-        found += question_differences
-    return found
+        all_differences += question_differences
+    return all_differences
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -80,15 +80,15 @@ def run_networks(
     for run in first_runs.values():
         make_motions(run, real.read(), settings_of(run, settings), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
-    done = []
+    finished_results = []
     with (
         progress(len(runs), "training networks") as bar,
         contextlib.closing(run_all(task, runs, workers)) as results,
     ):
         for result in results:
-            done.append(result)
+            finished_results.append(result)
             bar.update()
-    return done
+    return finished_results
 
 
 def _run_task(
@@ -143,7 +143,10 @@ def run_network(
     tested_on = {
         column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
     }
-    tested_on |= {f"{run.trained_on}/{name}": made.parameters for name, made in simulated.items()}
+    tested_on |= {
+        f"{run.trained_on}/{name}": simulated_set.parameters
+        for name, simulated_set in simulated.items()
+    }
     result_path = folder / RESULT
     if result_path.exists():
         earlier_result: dict[str, Any] = json.loads(result_path.read_text(encoding="utf-8"))
