@@ -139,6 +139,7 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
             (folder / "model.onnx").write_bytes(to_onnx(model).SerializeToString())
         for k in range(rounds + 1):
             bar.update()
+            # the order alternates, so that no row always starts after the same other row
             for name in rows if k % 2 else reversed(rows):
                 if k == 0 and name == "ours_cold":
                     continue

@@ -43,6 +43,7 @@ ROUNDS = (31, 5)
 def measure(quick: bool) -> dict[str, Any]:
     """The report of all sensors, as one JSON object."""
     rng = np.random.default_rng(0)
+    # as an index, False is 0 (in full), and True is 1 (--quick)
     rounds = ROUNDS[quick]
     sensor_reports = []
     with progress(len(GRIDS) + 1, "compiling") as bar:
