@@ -56,17 +56,17 @@ def measure(
     with progress(seeds, f"training on {title}") as bar:
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
-            words = [*options.split(), "--seed", seed, "--out", model]
-            record = command("train", folder / train, *words, "--json")
+            arguments = [*options.split(), "--seed", seed, "--out", model]
+            record = command("train", folder / train, *arguments, "--json")
             report = command("evaluate", model, folder / test, "--json")
             row = {number: report[number] for number in TESTED}
             row["multiplications"] = record["multiplications"]
             rows.append(row)
             bar.update()
-    given = f"async-tnt train {folder.name}/{train}".rstrip("/")
+    command_line = f"async-tnt train {folder.name}/{train}".rstrip("/")
     return {
         "title": title,
-        "command": f"{given} {options}".strip(),
+        "command": f"{command_line} {options}".strip(),
         "networks": rows,
         "machine": machine("torch"),
     }

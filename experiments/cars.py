@@ -8,7 +8,8 @@ options; `bare` has no option but the sensor's size. Finished trainings in --out
 interrupted trainings resume. Recipes that are not named keep their entry in FILE.
 
 The test part is read when all networks of a recipe are trained. Each network is tested on it once.
-It also gives the accuracy by the size of the crops alone, and some recordings to measure times.
+The test part also gives the accuracy by the size of the crops alone, and some recordings on which
+times are measured.
 """
 
 from __future__ import annotations
@@ -123,10 +124,10 @@ def measure(
     with progress(seeds, f"training {recipe}") as bar:
         for seed in range(seeds):
             models.append(out / f"{recipe}{seed}.safetensors")
-            words = [*options.split(), "--seed", seed, "--out", models[-1]]
-            command("train", folder / TRAIN, *words, "--json")
+            arguments = [*options.split(), "--seed", seed, "--out", models[-1]]
+            command("train", folder / TRAIN, *arguments, "--json")
             bar.update()
-    found = {
+    recipe_report = {
         "command": f"async-tnt train {TRAIN} {options}",
         "tests": [_tested(path, folder / TEST) for path in models],
         **_costs(models[0], folder / TEST),
@@ -135,7 +136,7 @@ def measure(
     return {
         **N_CARS,
         "by_crop_size": by_crop_size(folder / TRAIN, folder / TEST),
-        "recipes": {recipe: found},
+        "recipes": {recipe: recipe_report},
     }
 
 
@@ -152,7 +153,7 @@ def with_earlier(
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
-    """Accuracies of a model on the test part: at the end, against time, and by confidence."""
+    """Accuracies of a model on the test part: at the ends of recordings, by time, by confidence."""
     report = command("evaluate", path, test, "--json")
     counts = ("accuracy", "recordings", "window_accuracy", "windows")
     names = (*counts, "calibration_error", "confidence")
@@ -183,14 +184,16 @@ def by_crop_size(train: Path, test: Path) -> float:
         np.add.at(table, (sizes[:, 0], sizes[:, 1]), 1 / len(sizes))
         votes[name] = weight @ table @ weight
     classes = list(votes)
-    right = 0
-    total = 0
+    n_right = 0
+    n_total = 0
     for name, sizes in test_sizes.items():
-        votes_at_size = np.stack([votes[other][sizes[:, 0], sizes[:, 1]] for other in classes])
+        votes_at_size = np.stack(
+            [votes[class_name][sizes[:, 0], sizes[:, 1]] for class_name in classes]
+        )
         elected = votes_at_size.argmax(0)
-        right += int((elected == classes.index(name)).sum())
-        total += len(sizes)
-    return right / total
+        n_right += int((elected == classes.index(name)).sum())
+        n_total += len(sizes)
+    return n_right / n_total
 
 
 def _sizes(part: Path) -> dict[str, np.ndarray]:
@@ -198,15 +201,15 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
 
     Recordings without events are left out.
     """
-    found = {}
+    sizes_by_class = {}
     for folder in sorted(path for path in part.iterdir() if path.is_dir()):
         sizes = []
         for file in sorted(folder.iterdir()):
             events = open_recording(file).read()
             if len(events):
                 sizes.append((events["x"].max() + 1, events["y"].max() + 1))
-        found[folder.name] = np.array(sizes)
-    return found
+        sizes_by_class[folder.name] = np.array(sizes)
+    return sizes_by_class
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
@@ -248,16 +251,16 @@ def draw(report: dict[str, Any]) -> Any:
     end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
     headline(figure, f"{report['title']}, test part, {len(tests)} networks")
-    time = axes_at(figure, LEFT, TOP, WIDTH, SIDE)
-    levels = axes_at(figure, LEFT + STEP, TOP, WIDTH, SIDE)
-    _draw_time(time, tests, report["others"], end_ms)
-    _draw_levels(levels, tests)
-    for axes in (time, levels):
+    time_axes = axes_at(figure, LEFT, TOP, WIDTH, SIDE)
+    level_axes = axes_at(figure, LEFT + STEP, TOP, WIDTH, SIDE)
+    _draw_time(time_axes, tests, report["others"], end_ms)
+    _draw_levels(level_axes, tests)
+    for axes in (time_axes, level_axes):
         axes.set_ylim(0.5, 1.02)
         axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
         axes.grid(color=PALE, linewidth=0.5)
-    time.legend(loc="lower right")
-    levels.legend(loc="lower right")
+    time_axes.legend(loc="lower right")
+    level_axes.legend(loc="lower right")
     return figure
 
 
@@ -266,7 +269,8 @@ def _draw_time(
 ) -> None:
     """Draw the accuracy of each network against time.
 
-    The accuracy of other methods with the whole recording stands at its end.
+    The accuracies of other methods, which see the whole recording, stand at the end of the time
+    axis.
     """
     for k, test in enumerate(tests):
         axes.plot(
@@ -289,23 +293,23 @@ def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
 
     The reach is the share of windows that reach the level. All numbers are means over the networks.
     """
-    # a list for each level, with a row of each network
+    # a list for each level, which has a row for each network
     by_level = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
     # only levels that windows reach are drawn
     by_level = [rows for rows in by_level if all(row["median_ms"] is not None for row in rows)]
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in by_level]
-    for name, colour, words in (
+    for name, colour, label in (
         ("accuracy", OFF, "right of these"),
         ("decided", GREY, "windows that reach it"),
     ):
         shares = [np.mean([row[name] for row in rows]) for rows in by_level]
-        axes.plot(ms, shares, "o-", color=colour, ms=3, label=words)
+        axes.plot(ms, shares, "o-", color=colour, ms=3, label=label)
     for rows, x in zip(by_level, ms, strict=True):
         level = rows[0]["level"]
         if level >= 0.9:
-            right = np.mean([row["accuracy"] for row in rows])
-            aside, align = (-3, "right") if x > ms[-1] / 2 else (4, "left")
-            note(axes, f"{level:g}", (x, right), (aside, -12), ha=align)
+            accuracy = np.mean([row["accuracy"] for row in rows])
+            offset_points, align = (-3, "right") if x > ms[-1] / 2 else (4, "left")
+            note(axes, f"{level:g}", (x, accuracy), (offset_points, -12), ha=align)
     axes.set(xlabel="median ms until a confidence is reached", xlim=(0, None))
 
 
@@ -335,19 +339,19 @@ def main(argv: list[str] | None = None) -> int:
     if [args.folder is not None, args.quick, args.source is not None].count(True) != 1:
         parser.error("give N-CARS, --quick, or --from")
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_recipes(quick: bool) -> dict[str, Any]:
         if quick:
             return _quick()
         report: dict[str, Any] = {}
         for name in args.recipes:
-            found = measure(args.folder, args.out, name, args.seeds)
+            recipe_report = measure(args.folder, args.out, name, args.seeds)
             # another run may have changed the file in the meantime
             report = earlier_report(args, report)
-            report = with_earlier(found, report, list(RECIPES)) if report else found
+            report = with_earlier(recipe_report, report, list(RECIPES)) if report else recipe_report
             write_outputs(args, report)  # before the next recipe's hours
         return report
 
-    return run_script(parser, argv, measured, "cars", draw)
+    return run_script(parser, argv, measure_recipes, "cars", draw)
 
 
 def _quick() -> dict[str, Any]:

@@ -63,25 +63,29 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar, one_thread(is_installed("torch")):
         warmup(model)
         networks = backends.dense_networks(model)
-        network = {}
+        network_times = {}
         for n_new in NEW_EVENTS:
             bar.update(title=f"the network alone, new events: {n_new}")
-            network[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
-        way = fastest(backends.ONNXRUNTIME, network)
-        whole = {}
+            network_times[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
+        faster_way = fastest(backends.ONNXRUNTIME, network_times)
+        end_to_end_times = {}
         for n_new in NEW_EVENTS:
             bar.update(title=f"from packet to decision, new events: {n_new}")
-            whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
+            end_to_end_times[str(n_new)] = end_to_end.bench_end_to_end(
+                model, faster_way, windows, n_new, **counts
+            )
         bar.update(title="a decision after every event")
-        slower = set(backends.ONNXRUNTIME) - {way}
-        others = {name: engine for name, engine in networks.items() if name not in slower}
+        slower_ways = set(backends.ONNXRUNTIME) - {faster_way}
+        other_networks = {
+            name: engine for name, engine in networks.items() if name not in slower_ways
+        }
         n_events = 500 if quick else None
         rates = bench_every_event(
-            model, others, recordings, rounds=settings["rounds"], n_events=n_events
+            model, other_networks, recordings, rounds=settings["rounds"], n_events=n_events
         )
     return {
         "machine": machine(*PACKAGES),
-        "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": way},
+        "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": faster_way},
         "model": {
             "name": MODEL,
             "config": model.config.to_dict(),
@@ -92,8 +96,8 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
             "network": {name: engine.work for name, engine in backends.ENGINES.items()},
             "end_to_end": end_to_end.WORK,
         },
-        "network": network,
-        "end_to_end": whole,
+        "network": network_times,
+        "end_to_end": end_to_end_times,
         "every_event": rates,
         "left_out": {
             "network": backends.left_out(),
@@ -109,10 +113,10 @@ def main(argv: list[str] | None = None) -> int:
     """
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         return measure(QUICK if quick else FULL, quick)
 
-    return run_script(parser, argv, measured, "decisions", draw_decisions)
+    return run_script(parser, argv, measure_report, "decisions", draw_decisions)
 
 
 if __name__ == "__main__":

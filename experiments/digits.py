@@ -41,7 +41,7 @@ SIMULATED = 20_000
 
 @dataclass(frozen=True)
 class Step:
-    """One of the five trainings: its settings.
+    """The settings of one of the five trainings.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ class Step:
     variations : number of other motions that are made of each window.
     augmentation : augmentation of all windows.
     averaging : averaging of the weights, see `TrainSettings`.
-    is_taught : whether half of the target of training is the answer of the model of the step
-        before.
-    kept : share of that model in the mean of the weights, old and new (Wortsman et al. 2022,
-        arXiv:2109.01903).
+    is_taught : whether the answer of the model of the previous step is half of the target of
+        training.
+    kept : share of the weights of the previous step's model in the mean of old and new weights
+        (Wortsman et al. 2022, arXiv:2109.01903).
     """
 
     epochs: int
@@ -93,11 +93,13 @@ STEPS = {
 
 
 def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model:
-    """The last model of a training step by step. It is tested.
+    """Train a model step by step, and test it after the last step.
 
-    The model of each step is written to `out`.
+    Each step continues with the model of the previous step. The model of each step is written to
+    `out`. The model of the last step is returned.
     """
     model = None
+    last_step = list(steps)[-1]
     for name, step in steps.items():
         settings = TrainSettings(
             epochs=step.epochs,
@@ -105,17 +107,19 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
             augmentation=step.augmentation,
             averaging=step.averaging,
         )
-        moved = MotionSettings(variations=step.variations, recorded=step.recorded)
+        motion_settings = MotionSettings(variations=step.variations, recorded=step.recorded)
         motions = resynthesize(
             data.training,
             data.validation,
             data.config,
-            moved.for_epochs(step.epochs),
+            motion_settings.for_epochs(step.epochs),
             out / f"motions-{step.variations}",
             workers=available_cores(),
             progress=progress,
         )
-        teachers: list[Model] = [model] if model is not None and step.is_taught else []
+        teachers: list[Model] = []
+        if model is not None and step.is_taught:
+            teachers = [model]
         fitted = fit(
             data,
             settings,
@@ -127,7 +131,7 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
         )
         if model is not None and step.kept:
             fitted = mixed(model, fitted, step.kept, data)
-        if step is list(steps.values())[-1]:
+        if name == last_step:
             fitted = fitted.tested(data)
         model = fitted.model
         model.save(out / f"{name}.safetensors")
@@ -136,21 +140,25 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
 
 
 def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
-    """The training `fitted`, with the mean of its weights and the weights of the model `before`.
+    """The result `fitted` of a training, with weights mixed with those of the model `before`.
 
-    The weights of `before` have the share `kept` in the mean. The model is calibrated again on the
-    held-out windows.
+    A mixed weight is the mean of both weights, in which that of `before` has the share `kept`. The
+    mixed model is calibrated again on the held-out windows, if there are any.
     """
     weights = {
-        name: kept * before.weights[name] + (1 - kept) * after
-        for name, after in fitted.model.weights.items()
+        name: kept * before.weights[name] + (1 - kept) * new_weights
+        for name, new_weights in fitted.model.weights.items()
     }
     model = replace(fitted.model, weights=weights, record={**fitted.model.record, "kept": kept})
     if not len(data.validation):
         return replace(fitted, model=model)
-    found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
-    model, temperature = calibrated(model, found.temperature)
-    record = {**model.record, "validation": found.to_dict(), "temperature": round(temperature, 5)}
+    validation = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
+    model, temperature = calibrated(model, validation.temperature)
+    record = {
+        **model.record,
+        "validation": validation.to_dict(),
+        "temperature": round(temperature, 5),
+    }
     return replace(fitted, model=replace(model, record=record))
 
 

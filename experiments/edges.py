@@ -8,8 +8,8 @@ A pixel follows log luminance L. For a pattern that moves with velocity v, dL/dt
 events of each saccade are moved back along N-MNIST's path, onto the image that was shown. The
 gradient of this image is known. The report has:
 
-- by the angle between gradient and motion, the number of events for each unit of gradient, which
-  should fall like the cosine, and the share of events with the polarity of -v . grad L;
+- by the angle between gradient and motion, the number of events for each unit of gradient, and the
+  share of events with the polarity of -v . grad L. The number should fall like the cosine;
 - between two saccades, the correlation over pixels of the images of signed events, of the images of
   -v . grad L, and of the images of unsigned events.
 """
@@ -44,11 +44,11 @@ ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)
 """Limits of the bins of the angle between gradient and motion."""
 
 LEAST_GRADIENT = 0.1
-"""Least gradient of an edge, in log luminance per pixel; less is background."""
+"""Least gradient of an edge, in log luminance per pixel. A lower gradient is background."""
 
 COMPARED = ("signed", "expected", "unsigned")
-"""Images that are correlated between two saccades: the sum of the events' signs, the change of
-light that the gradient lets expect, and the number of events."""
+"""Images that are correlated between two saccades: the sums of the events' signs, the changes of
+light that follow from the gradient, and the numbers of events."""
 
 PATH = nmnist_saccades()
 """Path of the image in N-MNIST's recordings."""
@@ -59,15 +59,15 @@ ENDS_US = (0, 92_000, 222_000, 308_000)
 
 def directions() -> np.ndarray:
     """The unit vectors (x, y) of the three saccades, (3, 2)."""
-    moved = np.diff(np.stack(PATH.position(ENDS_US), axis=1), axis=0)
-    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+    displacements = np.diff(np.stack(PATH.position(ENDS_US), axis=1), axis=0)
+    return np.asarray(displacements / np.linalg.norm(displacements, axis=1, keepdims=True))
 
 
 def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The sum of the events' signs and the number of events at each pixel, each (34, 34).
 
-    Events are first moved back along N-MNIST's path, as if the image had stayed in the sensor's
-    centre.
+    Before they are added, events are moved back along N-MNIST's path, as if the image had stayed in
+    the sensor's centre.
     """
     dx, dy = PATH.position(events["t"])
     # (3, 3) centres a 28 x 28 image on a 34 x 34 sensor
@@ -92,57 +92,62 @@ def gradient(image: np.ndarray) -> np.ndarray:
 
 def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
     """The report on `n` recordings, spread evenly over all recordings."""
-    split, found = recordings_by_image(nmnist, "train")
+    split, recordings = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
-    shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]
-    towards = directions()
-    bins = len(ANGLES_DEG) - 1
-    events_of, right_of, gradient_of, cosine_of = np.zeros((4, bins))
+    places = np.unique(np.linspace(0, len(recordings) - 1, n).astype(int))
+    image_indices = np.array(sorted(recordings))[places]
+    unit_vectors = directions()
+    n_bins = len(ANGLES_DEG) - 1
+    # sums over all edges, by the angle between gradient and motion
+    event_sums, agreeing_sums, gradient_sums, cosine_sums = np.zeros((4, n_bins))
     correlations: dict[tuple[int, int], list[list[float]]] = {
         pair: [] for pair in combinations(range(3), 2)
     }
-    with progress(len(shown), "comparing events with images") as bar:
-        for i in shown:
+    with progress(len(image_indices), "comparing events with images") as bar:
+        for i in image_indices:
             slope = gradient(images[i])
             steepness = np.linalg.norm(slope, axis=-1)
-            edges = steepness > LEAST_GRADIENT
-            images_of: dict[str, list[np.ndarray]] = {name: [] for name in COMPARED}
-            recorded = read_nmnist(found[i])
+            is_edge = steepness > LEAST_GRADIENT
+            saccade_images: dict[str, list[np.ndarray]] = {name: [] for name in COMPARED}
+            recorded = read_nmnist(recordings[i])
             # the fourth part, which follows the three saccades, is left out
             saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))
-            for v, saccade in zip(towards, saccades, strict=False):
+            for v, saccade in zip(unit_vectors, saccades, strict=False):
                 sign, count = moved_back(saccade)
                 change = -slope @ v
                 # number of events whose sign is that of `change`
                 agreeing = (count + sign * np.sign(change)) / 2
-                cosine = np.abs(change[edges]) / steepness[edges]
+                cosine = np.abs(change[is_edge]) / steepness[is_edge]
                 angle_deg = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
-                bin_of = np.digitize(angle_deg, ANGLES_DEG[1:-1])
-                events_of += np.bincount(bin_of, count[edges], bins)
-                right_of += np.bincount(bin_of, agreeing[edges], bins)
-                gradient_of += np.bincount(bin_of, steepness[edges], bins)
-                cosine_of += np.bincount(bin_of, steepness[edges] * cosine, bins)
-                images_of["signed"].append(sign.ravel())
-                images_of["expected"].append(change.ravel())
-                images_of["unsigned"].append(count.ravel())
+                bin_indices = np.digitize(angle_deg, ANGLES_DEG[1:-1])
+                event_sums += np.bincount(bin_indices, count[is_edge], n_bins)
+                agreeing_sums += np.bincount(bin_indices, agreeing[is_edge], n_bins)
+                gradient_sums += np.bincount(bin_indices, steepness[is_edge], n_bins)
+                cosine_sums += np.bincount(bin_indices, steepness[is_edge] * cosine, n_bins)
+                saccade_images["signed"].append(sign.ravel())
+                saccade_images["expected"].append(change.ravel())
+                saccade_images["unsigned"].append(count.ravel())
             for (a, b), values in correlations.items():
                 values.append(
-                    [float(np.corrcoef(image[a], image[b])[0, 1]) for image in images_of.values()]
+                    [
+                        float(np.corrcoef(image[a], image[b])[0, 1])
+                        for image in saccade_images.values()
+                    ]
                 )
             bar.update()
 
     between = {}
     for (a, b), values in correlations.items():
         between[f"{a + 1}-{b + 1}"] = {
-            "angle_deg": float(np.degrees(np.arccos(towards[a] @ towards[b]))),
+            "angle_deg": float(np.degrees(np.arccos(unit_vectors[a] @ unit_vectors[b]))),
             **dict(zip(COMPARED, np.mean(values, axis=0).tolist(), strict=True)),
         }
     return {
-        "recordings": len(shown),
+        "recordings": len(image_indices),
         "angles_deg": ANGLES_DEG,
-        "events_per_gradient": (events_of / gradient_of).tolist(),
-        "cosine": (cosine_of / gradient_of).tolist(),
-        "polarity_as_expected": (right_of / events_of).tolist(),
+        "events_per_gradient": (event_sums / gradient_sums).tolist(),
+        "cosine": (cosine_sums / gradient_sums).tolist(),
+        "polarity_as_expected": (agreeing_sums / event_sums).tolist(),
         "between_saccades": between,
         "machine": machine(),
     }
@@ -157,10 +162,10 @@ def main(argv: list[str] | None = None) -> int:
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     mnist = data_folder(args.mnist, "mnist", "--mnist")
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         return measure(nmnist, mnist, 50 if quick else N_RECORDINGS)
 
-    return run_script(parser, argv, measured, "edges")
+    return run_script(parser, argv, measure_report, "edges")
 
 
 if __name__ == "__main__":

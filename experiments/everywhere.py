@@ -132,10 +132,10 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
             middles.append(middle)
     parts: list[np.ndarray] = []
     truth: Truth = []
-    last_us = 0
+    last_start_us = 0
     for path, middle in zip(files, middles, strict=True):
         events = one_window(path, kind.window_us, rng)
-        start_us = int(rng.integers(STARTS_US)) if parts else 0
+        start_us = int(rng.integers(STARTS_US)) if parts else 0  # the first object starts at 0
         centre = np.array([np.quantile(events[axis], (0.02, 0.98)).mean() for axis in "xy"])
         shift = np.rint(middle - centre).astype(int)
         t = events["t"] + start_us
@@ -144,11 +144,11 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
         parts.append(on_sensor(t, x, y, events["p"], kind.sensor))
         if path.parent.name != NO_OBJECT:
             truth.append((path.parent.name, *(centre + shift)))
-        last_us = max(last_us, start_us)
+        last_start_us = max(last_start_us, start_us)
     parts.append(noise(kind, rng))
     events = np.concatenate(parts)
     events = events[events["t"] < kind.window_us]
-    return events[np.argsort(events["t"], kind="stable")], truth, last_us
+    return events[np.argsort(events["t"], kind="stable")], truth, last_start_us
 
 
 def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
@@ -158,19 +158,19 @@ def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
 
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
-    """The numbers of objects that were found right, that were found, and that are in the scene.
+    """Three numbers of objects: found objects that are right, found objects, objects in the scene.
 
     A found object is right if an object of its class in the scene is at most `within` pixels away.
     Each object in the scene makes at most one found object right.
     """
     not_found = list(truth)
-    objects = [found for found in objects if found.label != NO_OBJECT]
-    for found in objects:
+    objects = [found_object for found_object in objects if found_object.label != NO_OBJECT]
+    for found_object in objects:
         distances = {}
         for label, x, y in not_found:
-            if label == found.label:
-                distances[label, x, y] = float(np.hypot(x - found.x, y - found.y))
-        nearest = min(distances, key=lambda there: distances[there], default=None)
+            if label == found_object.label:
+                distances[label, x, y] = float(np.hypot(x - found_object.x, y - found_object.y))
+        nearest = min(distances, key=lambda true_object: distances[true_object], default=None)
         if nearest is not None and distances[nearest] <= within:
             not_found.remove(nearest)
     return np.array([len(truth) - len(not_found), len(objects), len(truth)])
@@ -181,41 +181,41 @@ def measure(
 ) -> dict[str, float]:
     """The F1 score at the end of the scenes, and early in them.
 
-    The scenes have `n_objects` objects together. No recording is shown again before all have been
-    shown.
+    All scenes together have `n_objects` objects. No recording is shown again before all recordings
+    have been shown.
     """
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
     n_rounds = -(-n_objects // len(files))
     order = np.concatenate([rng.permutation(len(files)) for _ in range(n_rounds)])
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
-    total = np.zeros(3)
-    early = np.zeros(3)
-    for chosen in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
-        events, truth, last_us = scene([files[i] for i in chosen], kind, rng)
+    end_counts = np.zeros(3)
+    early_counts = np.zeros(3)
+    for indices in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
+        events, truth, last_us = scene([files[i] for i in indices], kind, rng)
         processor.reset()
         n_early = int(np.searchsorted(events["t"], last_us + EARLY_US))
         processor.push(events[:n_early])
-        early += counts(processor.fire().objects, truth, kind.within)
+        early_counts += counts(processor.fire().objects, truth, kind.within)
         processor.push(events[n_early:])
-        total += counts(processor.fire().objects, truth, kind.within)
-    # F1 = 2 right / (found + in the scene)
+        end_counts += counts(processor.fire().objects, truth, kind.within)
+    # F1 = 2 n_right / (n_found + n_in_scene), the three numbers of `counts`
     return {
-        "end": float(2 * total[0] / total[1:].sum()),
-        "early": float(2 * early[0] / early[1:].sum()),
+        "end": float(2 * end_counts[0] / end_counts[1:].sum()),
+        "early": float(2 * early_counts[0] / early_counts[1:].sum()),
     }
 
 
 def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
     """The number of objects that are found in a window of noise, as a mean over `n` windows."""
     rng = np.random.default_rng(0)
-    found = 0
+    n_found = 0
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     for _ in range(n):
         processor.reset()
         processor.push(noise(kind, rng))
-        found += counts(processor.fire().objects, [], 0.0)[1]
-    return float(found / n)
+        n_found += counts(processor.fire().objects, [], 0.0)[1]
+    return float(n_found / n)
 
 
 def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
@@ -271,8 +271,9 @@ def main(argv: list[str] | None = None) -> int:
         for name in args.models:
             model = load_model(name)
             row: dict[str, Any] = {}
-            for kind, about in kinds.items():
-                row[kind] = measure(model, files, 3 * n, about)
+            for kind_name, kind in kinds.items():
+                # each kind has as many objects as `n` scenes of three
+                row[kind_name] = measure(model, files, 3 * n, kind)
                 bar.update()
             row["noise"] = objects_in_noise(model, next(iter(kinds.values())), n)
             bar.update()

@@ -55,9 +55,9 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
     for source in sorted(path for path in (nmnist / "Train").iterdir() if path.is_dir()):
         recordings = sorted(source.glob("*.bin"))[:n]
         counts.append(len(recordings))
-        shown = sorted((pictures / source.name).glob("*.png")) if pictures else []
+        picture_files = sorted((pictures / source.name).glob("*.png")) if pictures else []
         (folder / source.name).mkdir(parents=True, exist_ok=True)
-        for path in [*recordings, *shown]:
+        for path in [*recordings, *picture_files]:
             link = folder / source.name / path.name
             if not link.exists():
                 link.symlink_to(path.resolve())
@@ -71,27 +71,27 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
     per_class = (0, 10) if quick else PER_CLASS
     pictures = out / "mnist"
     write_mnist(pictures, mnist, n_pictures)
-    found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
+    rows_by_way: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
     with progress(len(WAYS) * len(per_class), "training") as bar:
         for n in per_class:
-            for way, rows in found.items():
-                alone = way == "recordings alone"
+            for way, rows in rows_by_way.items():
+                is_alone = way == "recordings alone"
                 bar.update()
-                if alone and n < FEWEST_ALONE:
+                if is_alone and n < FEWEST_ALONE:
                     continue
-                folder = out / f"{'alone' if alone else 'both'}{n}"
-                there = write_set(folder, None if alone else pictures, nmnist, n)
+                folder = out / f"{'alone' if is_alone else 'both'}{n}"
+                n_recordings = write_set(folder, None if is_alone else pictures, nmnist, n)
                 networks = []
                 for seed in range(seeds):
                     model = out / f"{folder.name}-{seed}.safetensors"
-                    words = ["--sensor", "34x34", *options, "--seed", seed, "--out", model]
-                    command("train", folder, *words, "--json")
+                    arguments = ["--sensor", "34x34", *options, "--seed", seed, "--out", model]
+                    command("train", folder, *arguments, "--json")
                     report = command("evaluate", model, nmnist / "Test", "--json")
                     networks.append(
                         {name: report[name] for name in ("accuracy", "window_accuracy")}
                     )
-                rows.append({"per_class": there, "networks": networks})
-    return {"ways": found, "pictures": n_pictures, "machine": machine("torch")}
+                rows.append({"per_class": n_recordings, "networks": networks})
+    return {"ways": rows_by_way, "pictures": n_pictures, "machine": machine("torch")}
 
 
 def draw(report: dict[str, Any]) -> Figure:
@@ -103,12 +103,16 @@ def draw(report: dict[str, Any]) -> Figure:
     axes = axes_at(figure, 0.8, 0.6, 9.2, 2.4)
     for way, colour in WAYS.items():
         rows = report["ways"][way]
-        wrong = [
+        wrong_percent = [
             100 * (1 - np.mean([network["window_accuracy"] for network in row["networks"]]))
             for row in rows
         ]
         axes.plot(
-            [max(0.3, row["per_class"]) for row in rows], wrong, color=colour, marker="o", label=way
+            [max(0.3, row["per_class"]) for row in rows],
+            wrong_percent,
+            color=colour,
+            marker="o",
+            label=way,
         )
     counts = [row["per_class"] for row in report["ways"]["pictures and recordings"]]
     axes.set_xscale("log")
@@ -134,7 +138,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: few)")
     args = parser.parse_args(argv)
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         folders = (
             data_folder(args.nmnist, "nmnist", "--nmnist"),
             data_folder(args.mnist, "mnist", "--mnist"),
@@ -142,7 +146,7 @@ def main(argv: list[str] | None = None) -> int:
         with TemporaryDirectory() as name:
             return measure(*folders, args.out or Path(name if quick else "few"), args.seeds, quick)
 
-    return run_script(parser, argv, measured, "few_recordings", draw)
+    return run_script(parser, argv, measure_report, "few_recordings", draw)
 
 
 if __name__ == "__main__":

@@ -37,11 +37,13 @@ def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
 
     per_motion : name of a motion, such as "036deg-5px" -> accuracy.
     """
-    found: dict[int, list[float]] = {}
+    accuracies_by_direction: dict[int, list[float]] = {}
     for motion, accuracy in per_motion.items():
-        found.setdefault(int(motion[:3]), []).append(accuracy)
-    directions = sorted(found)
-    return np.radians(directions), np.array([np.mean(found[d]) for d in directions])
+        accuracies_by_direction.setdefault(int(motion[:3]), []).append(accuracy)
+    directions = sorted(accuracies_by_direction)
+    return np.radians(directions), np.array(
+        [np.mean(accuracies_by_direction[direction]) for direction in directions]
+    )
 
 
 def draw(report: dict[str, Any]) -> Figure:
@@ -54,15 +56,15 @@ def draw(report: dict[str, Any]) -> Figure:
 
     table = report["table"]
     figure = new_figure(5.6)
-    for place, (column, words) in enumerate(PANELS.items()):
+    for place, (column, panel_title) in enumerate(PANELS.items()):
         axes: Any = figure.add_axes((0.06 + 0.47 * place, 0.19, 0.41, 0.64), projection="polar")
         axes.set_theta_direction(-1)  # y grows downwards
         for row, look in LOOKS.items():
             if column in table.get(row, {}):
                 angles, accuracies = by_direction(table[row][column]["per_motion"])
                 title = ROWS[row].title.replace("`", "")
-                closed = np.append(angles, angles[0]), np.append(accuracies, accuracies[0])
-                axes.plot(*closed, label=title if place == 0 else None, lw=1.6, **look)
+                closed_line = np.append(angles, angles[0]), np.append(accuracies, accuracies[0])
+                axes.plot(*closed_line, label=title if place == 0 else None, lw=1.6, **look)
         # a circle at the accuracy of guessing one of ten classes
         axes.plot(
             np.linspace(0, 2 * np.pi, 100), np.full(100, 0.1), color="#b0b0b0", lw=0.8, ls=":"
@@ -71,7 +73,7 @@ def draw(report: dict[str, Any]) -> Figure:
         axes.set_yticks([0.25, 0.5, 0.75, 1.0], [".25", ".5", ".75", "1"])
         axes.set_rlabel_position(-20)
         axes.set_xticks(np.radians([0, 90, 180, 270]), ["right", "down", "left", "up"])
-        axes.set_title(words, color=TEXT, fontsize=9)
+        axes.set_title(panel_title, color=TEXT, fontsize=9)
         for saccade in (1,) if column == "1/sim" else (1, 2, 3):
             angle = np.radians(SACCADES_DEG[saccade])
             axes.annotate(

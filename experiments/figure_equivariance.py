@@ -51,14 +51,14 @@ BINS = 9
 MARGIN = (SIDE - OWN_SIDE) // 2
 """Pixels between the border of the grid and that of `digits`."""
 
-AT: dict[str, Any] = dict(
+REFERENCE: dict[str, Any] = dict(
     start_us=0, window_us=WINDOW_US, sensor=(SIDE, SIDE), grid=(SIDE, SIDE), bins=BINS
 )
-"""Window, sensor and grid of the reference."""
+"""Arguments of the reference: window, sensor, grid and bins."""
 
 FLOWS = (0, 1, 2, 3, 5, 8, 13, 16)
-"""Flows to the right, in pixels per window. TNT about the centre makes of a flow v a translation by
-v / t_max."""
+"""Flows to the right, in pixels per window. The first one must be 0. TNT about the centre turns
+a flow v into a translation by v / t_max."""
 
 INPUTS: dict[str, dict[str, Any]] = {
     "raw": {},
@@ -86,8 +86,8 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
     events = open_recording(sample_recordings()[3]).read()
     events = events[(events["t"] > 0) & (events["t"] < WINDOW_US)]
     t = torch.from_numpy(events["t"].astype(np.int64))
-    place = torch.from_numpy(np.stack([events["x"], events["y"]]).astype(np.float64)) + MARGIN
-    x, y = move_by_flow(t, place[0], place[1], (flow, 0.0), start_us=0, window_us=WINDOW_US)
+    places = torch.from_numpy(np.stack([events["x"], events["y"]]).astype(np.float64)) + MARGIN
+    x, y = move_by_flow(t, places[0], places[1], (flow, 0.0), start_us=0, window_us=WINDOW_US)
     columns: dict[str, Any] = {
         "t": t,
         "x": x,
@@ -95,15 +95,15 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
         "p": torch.from_numpy(events["p"].astype(np.int64)),
     }
     if not landmark:
-        return event_volume(**columns, **AT, dtype=torch.float64)[None]
-    return tnt_volume(**columns, **AT, t_max=T_MAX, **landmark, dtype=torch.float64)[None]
+        return event_volume(**columns, **REFERENCE, dtype=torch.float64)[None]
+    return tnt_volume(**columns, **REFERENCE, t_max=T_MAX, **landmark, dtype=torch.float64)[None]
 
 
 def features(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.Tensor]:
     """The features of each layer, in the order of `LAYERS`."""
     maps = _maps(volume, weights)
-    own = _maps(volume[..., MARGIN:-MARGIN, MARGIN:-MARGIN], weights)[-1].flatten(1)
-    hidden = F.linear(own, weights["fc1.weight"], weights["fc1.bias"]).relu()
+    last_map = _maps(volume[..., MARGIN:-MARGIN, MARGIN:-MARGIN], weights)[-1].flatten(1)
+    hidden = F.linear(last_map, weights["fc1.weight"], weights["fc1.bias"]).relu()
     return [*maps, hidden, F.linear(hidden, weights["fc2.weight"], weights["fc2.bias"])]
 
 
@@ -120,19 +120,21 @@ def measure(quick: bool = False) -> dict[str, Any]:
     flows = FLOWS[:2] if quick else FLOWS
     tensors = torch_classifier(load_model("digits")).tensors
     weights = {name: tensor.detach().double() for name, tensor in tensors.items()}
-    found = {}
+    errors_by_input = {}
     for name, landmark in INPUTS.items():
-        of_flow = [features(volume_of(landmark, flow), weights) for flow in flows]
-        empty = features(torch.zeros_like(of_flow[0][0]), weights)
+        features_by_flow = [features(volume_of(landmark, flow), weights) for flow in flows]
+        # the first flow is 0, and the first features are the volume itself
+        features_at_rest = features_by_flow[0]
+        empty_volume = torch.zeros_like(features_at_rest[0])
+        empty = features(empty_volume, weights)
         errors: dict[str, list[float]] = {}
         for k, (layer, pixels) in enumerate(LAYERS.items()):
-            still = of_flow[0][k]
             errors[layer] = [
-                _error(moved[k], still, empty[k], pixels, flow)
-                for flow, moved in zip(flows, of_flow, strict=True)
+                _error(moved[k], features_at_rest[k], empty[k], pixels, flow)
+                for flow, moved in zip(flows, features_by_flow, strict=True)
             ]
-        found[name] = errors
-    return {"machine": machine(), "flows_px": flows, "errors": found}
+        errors_by_input[name] = errors
+    return {"machine": machine(), "flows_px": flows, "errors": errors_by_input}
 
 
 def _error(
@@ -140,17 +142,19 @@ def _error(
 ) -> float:
     """The equivariance error at the best translation of 0 to `flow` pixels.
 
-    A translation rolls cells round the border of the map. The cells that this reaches are left out.
+    A translation rolls cells round the border of the map. The cells that this may reach are left
+    out, and so are the cells within 4 pixels of the border.
 
     pixels : distance between the cells of the layer, in pixels; 0 if nothing can be translated.
     """
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
-    most = -(-flow // pixels)  # in cells, rounded up
+    most_cells = -(-flow // pixels)  # in cells, rounded up
     border = -(-4 // pixels)  # 4 pixels in cells, rounded up
-    inner = (..., slice(border, -border), slice(most + border, -border))
+    inner = (..., slice(border, -border), slice(most_cells + border, -border))
     size = (still - empty)[inner].norm()
-    return min(float((moved - still.roll(by, -1))[inner].norm() / size) for by in range(most + 1))
+    differences = [(moved - still.roll(n_cells, -1))[inner] for n_cells in range(most_cells + 1)]
+    return min(float(difference.norm() / size) for difference in differences)
 
 
 def draw(report: dict[str, Any]) -> Figure:
@@ -158,13 +162,13 @@ def draw(report: dict[str, Any]) -> Figure:
     figure = new_figure(3.4)
     colours = ("#000000", "#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7")
     first: Any = None
-    for k, (name, of_layer) in enumerate(report["errors"].items()):
+    for k, (name, errors_by_layer) in enumerate(report["errors"].items()):
         axes = axes_at(figure, 0.65 + 1.96 * k, 0.85, 1.7, 1.75, sharey=first)
         first = first or axes
-        for (layer, row), colour in zip(of_layer.items(), colours, strict=True):
+        for (layer, errors), colour in zip(errors_by_layer.items(), colours, strict=True):
             axes.plot(
                 report["flows_px"],
-                row,
+                errors,
                 marker="o",
                 ms=2.5,
                 lw=1.2,

@@ -30,26 +30,27 @@ WINDOW_US = 105_000
 """Length of the window whose events are counted, in microseconds."""
 
 Map = Callable[[torch.Tensor], torch.Tensor]
-"""A function that makes of an image another image, or features."""
+"""A function from an image to another image or to features, or from features to features."""
 
 
 class Case(NamedTuple):
     """A row of the picture: two ways to compute features, which equivariance would make the same.
 
-    With f the image, `of(before(f))` is compared with `expected(after(f))`.
+    In the first way the image is transformed, and then its features are computed. In the second way
+    the features of the image are computed, and then they are transformed.
 
-    words : title of the row.
-    before : transforms the image.
-    of : computes the features of the transformed image.
-    after : computes the features of the image as it is.
-    expected : transforms these features.
+    title : title of the row.
+    transform_image : transforms the image.
+    features_of_transformed : computes the features of the transformed image.
+    features_of_image : computes the features of the image as it is.
+    transform_features : transforms the features of the image.
     """
 
-    words: str
-    before: Map
-    of: Map
-    after: Map
-    expected: Map
+    title: str
+    transform_image: Map
+    features_of_transformed: Map
+    features_of_image: Map
+    transform_features: Map
 
 
 def counted() -> torch.Tensor:
@@ -124,9 +125,9 @@ def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tenso
     The first set has the features of the transformed image. The second set has the features of the
     image, transformed.
     """
-    one = case.of(case.before(image))
-    other = case.expected(case.after(image))
-    return one, other, float((one - other).norm() / other.norm())
+    first = case.features_of_transformed(case.transform_image(image))
+    second = case.transform_features(case.features_of_image(image))
+    return first, second, float((first - second).norm() / second.norm())
 
 
 def draw() -> Figure:
@@ -135,16 +136,21 @@ def draw() -> Figure:
     figure = new_figure(1.2 * len(CASES) + 0.95)
     heads = ("image", "transformed", "its features", "features, transformed", "difference")
     for k, case in enumerate(CASES):
-        one, other, error = compared(case, image)
+        first, second, error = compared(case, image)
         top = 0.85 + 1.2 * k
-        write_at(figure, 0.3, top + 0.55, case.words, fontsize=SMALL, color=TEXT)
-        limit = float(other.abs().max())
+        write_at(figure, 0.3, top + 0.55, case.title, fontsize=SMALL, color=TEXT)
+        largest = float(second.abs().max())
         for place, (head, part) in enumerate(
-            zip(heads, (image, case.before(image), one, other, one - other), strict=True)
+            zip(
+                heads,
+                (image, case.transform_image(image), first, second, first - second),
+                strict=True,
+            )
         ):
             axes = picture_at(figure, 2.6 + 1.45 * place, top, 1.1, 1.1)
-            most = float(image.abs().max()) if place < 2 else limit
-            axes.imshow(_tiled(part), cmap="RdBu_r", vmin=-most, vmax=most)
+            # the first two pictures show images, the others show features
+            limit = float(image.abs().max()) if place < 2 else largest
+            axes.imshow(_tiled(part), cmap="RdBu_r", vmin=-limit, vmax=limit)
             if k == 0:
                 axes.set_title(head, fontsize=SMALL, color=TEXT)
         write_at(

@@ -32,8 +32,10 @@ WINDOW_US = 104_000
 N = 1_300
 """Events of a window."""
 
-AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
-"""Window, sensor and grid of the reference."""
+REFERENCE: dict[str, Any] = dict(
+    start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201)
+)
+"""Arguments of the reference: window, sensor and grid."""
 
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
 """Fractions of the window at which the law is measured."""
@@ -78,15 +80,15 @@ def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: 
     """
     # the events come at an even rate, the last one at the window's end
     t = (np.arange(N) + 1) * (WINDOW_US // N)
-    moved = 16.0 * path(t / WINDOW_US)
+    displacement = 16.0 * path(t / WINDOW_US)
     y = np.full(N, 100.0)
 
     def place(dx: np.ndarray) -> np.ndarray:
-        how: dict[str, Any] = dict(t_max=1.0, landmark=landmark, remove_flow=remove_flow)
+        settings: dict[str, Any] = dict(t_max=1.0, landmark=landmark, remove_flow=remove_flow)
         x = points(0)[0] + dx
-        return np.asarray(tnt_reference.tnt_coordinates(t, x, y, **AT, **how).u.numpy())
+        return np.asarray(tnt_reference.tnt_coordinates(t, x, y, **REFERENCE, **settings).u.numpy())
 
-    return (place(moved) - place(0 * moved)) / 16.0
+    return (place(displacement) - place(0 * displacement)) / 16.0
 
 
 def name_of(landmark: str, remove_flow: bool) -> str:
@@ -117,8 +119,8 @@ def draw_motion_terms(path: str) -> None:
     for axis, (title, motion) in zip(axes, motions.items(), strict=True):
         for (landmark, remove_flow), colour in zip(CASES, colours, strict=True):
             label = f"{landmark}, flow removed" if remove_flow else landmark
-            left = shift(motion, landmark, remove_flow)
-            axis.plot(f, left, color=colour, label=label, linewidth=2)
+            motion_left = shift(motion, landmark, remove_flow)
+            axis.plot(f, motion_left, color=colour, label=label, linewidth=2)
         axis.axhline(0.5, color="#bbbbbb", linewidth=0.8, linestyle=":", zorder=0)
         axis.set(title=title, xlabel="fraction f of the window", xlim=(0, 1), ylim=(-1.1, 1.6))
         axis.spines[["top", "right"]].set_visible(False)
@@ -136,8 +138,8 @@ def ridge_table() -> None:
     for n in (10, 30, 100, 300, 1_300, 10_000):
         t = np.round((np.arange(n) + 1) * WINDOW_US / n).astype(np.int64)
         x = 100 + 16.0 * t / WINDOW_US
-        flow = tnt_reference.fitted_flow(t, x, x, **AT)[-1, 0].item() / 16
-        intercept = (tnt_reference.landmark("line", t, x, x, **AT)[-1, 0].item() - 100) / 16
+        flow = tnt_reference.fitted_flow(t, x, x, **REFERENCE)[-1, 0].item() / 16
+        intercept = (tnt_reference.landmark("line", t, x, x, **REFERENCE)[-1, 0].item() - 100) / 16
         c_ff = n / 12  # C of the formulas
         rows.append(
             [
@@ -156,8 +158,11 @@ def wander_table() -> None:
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     rows = []
     for landmark in ("running", "line"):
-        found = [tnt_reference.landmark(landmark, t, *points(seed), **AT) for seed in range(400)]
-        strays = np.stack([landmarks.numpy() - 100 for landmarks in found])  # (objects, N, 2)
+        landmarks_of_objects = [
+            tnt_reference.landmark(landmark, t, *points(seed), **REFERENCE) for seed in range(400)
+        ]
+        # (objects, N, 2)
+        strays = np.stack([landmarks.numpy() - 100 for landmarks in landmarks_of_objects])
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
@@ -211,11 +216,12 @@ def translation_table() -> None:
     In the stream the samples are translated by 2 px each way, the most that they leave room for. In
     the reference they are translated by 1/3 px.
     """
-    inside = []
+    # windows without the events that a translation would move off the sensor, and their starts
+    inner_windows = []
     for k, window in enumerate(sample_windows()):
         x = window["x"].astype(int)
         y = window["y"].astype(int)
-        inside.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
+        inner_windows.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
     rows = []
     for landmark, remove_flow in CASES:
         options = dict(landmark=landmark, remove_flow=remove_flow, t_max=2.0)
@@ -223,10 +229,10 @@ def translation_table() -> None:
         ways: tuple[tuple[Callable[..., np.ndarray], float], ...] = ((streamed, 2), (batch, 1 / 3))
         for volume_of, shift in ways:
             worst = 0.0
-            for window, start_us in inside:
-                here = volume_of(window, start_us, 0, options)
-                there = volume_of(window, start_us, shift, options)
-                worst = max(worst, np.abs(there - here).max() / np.abs(here).max())
+            for window, start_us in inner_windows:
+                original = volume_of(window, start_us, 0, options)
+                translated = volume_of(window, start_us, shift, options)
+                worst = max(worst, np.abs(translated - original).max() / np.abs(original).max())
             # smaller numbers are rounding, which differs between machines
             cells.append("below 1e-6" if worst < 1e-6 else f"{worst:.2f}")
         rows.append([name_of(landmark, remove_flow), *cells])
@@ -243,13 +249,13 @@ def t_max_table() -> None:
         for landmark in ("center", "running", "line"):
             parts = [_transformed(*window, t_max, landmark)[1] for window in windows]
             kept[landmark] = np.concatenate(parts)
-        lost = [1 - kept["running"][quarters == q].mean() for q in range(4)]
+        lost_shares = [1 - kept["running"][quarters == q].mean() for q in range(4)]
         size, expected = _size_in_last_quarter(windows, t_max)
         rows.append(
             [
                 f"{t_max:g}",
-                *(f"{100 * of_landmark.mean():.1f} %" for of_landmark in kept.values()),
-                *(f"{100 * share:.1f} %" for share in lost),
+                *(f"{100 * is_kept.mean():.1f} %" for is_kept in kept.values()),
+                *(f"{100 * share:.1f} %" for share in lost_shares),
                 f"{size:.2f}",
                 f"{expected:.2f}",
             ]
@@ -303,10 +309,10 @@ def _size_in_last_quarter(
     for window, start_us in windows:
         u, keep = _transformed(window, start_us, t_max, "running")
         is_last = _quarter(window, start_us) == 3
-        late = keep & is_last
-        sizes.append(u[late].std())
+        is_kept_and_last = keep & is_last
+        sizes.append(u[is_kept_and_last].std())
         recorded_sizes.append(window["x"][is_last].std())
-        inverse_taus.append((105_000 / (t_max * (window["t"] - start_us)[late])).mean())
+        inverse_taus.append((105_000 / (t_max * (window["t"] - start_us)[is_kept_and_last])).mean())
     return float(np.mean(sizes) / np.mean(recorded_sizes)), float(np.mean(inverse_taus))
 
 

@@ -107,13 +107,13 @@ def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
 
     volumes : (N, C, H, W), not negative; C is B, or 2 B.
     """
-    of_channels = volumes.sum(axis=(0, -2, -1))  # (C,)
-    weight = of_channels.reshape(-1, n_bins).sum(axis=0)  # (B,)
+    channel_sums = volumes.sum(axis=(0, -2, -1))  # (C,)
+    bin_sums = channel_sums.reshape(-1, n_bins).sum(axis=0)  # (B,)
     step = max(1, (n_bins - 1) // (2 * N_SLICES))
     n_shown = min(N_SLICES, n_bins)
     length = step * (n_shown - 1)
     runs = [list(range(k, k + length + 1, step)) for k in range(n_bins - length)]
-    return max(runs, key=lambda run: weight[run].sum())
+    return max(runs, key=lambda run: bin_sums[run].sum())
 
 
 def direction(flow: np.ndarray, axis: int) -> str:
@@ -138,23 +138,23 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
     tnt.tick_params(labelleft=False)
 
 
-def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -> None:
+def _draw_dots(axes: Any, window: Window, places: np.ndarray, kept: np.ndarray) -> None:
     """Draw dots, and the path of their mean position in each part of the window.
 
     The path leaves out parts in which many dots fell off the grid.
     """
     shown = np.flatnonzero(kept)[evenly_spread(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
-    axes.scatter(window.time_ms[shown], place[shown], s=3.2, c=colours, lw=0, rasterized=True)
+    axes.scatter(window.time_ms[shown], places[shown], s=3.2, c=colours, lw=0, rasterized=True)
     part = (MEAN_PARTS * window.time_ms / (window.subject.config.window_us / 1e3)).astype(int)
-    parts = [part == k for k in range(MEAN_PARTS)]
-    enough = max(10, MEAN_SHARE * kept.size)
+    part_masks = [part == k for k in range(MEAN_PARTS)]
+    least_events = max(10, MEAN_SHARE * kept.size)
     means_ms = []
     means = []
-    for of_part in parts:
-        if of_part.sum() >= enough and kept[of_part].mean() > 0.9:
-            means_ms.append(window.time_ms[of_part & kept].mean())
-            means.append(place[of_part & kept].mean())
+    for in_part in part_masks:
+        if in_part.sum() >= least_events and kept[in_part].mean() > 0.9:
+            means_ms.append(window.time_ms[in_part & kept].mean())
+            means.append(places[in_part & kept].mean())
     if len(means) > 1:
         axes.plot(means_ms, means, color="white", lw=4.5, solid_capstyle="round")
         axes.plot(means_ms, means, color="black", lw=2, solid_capstyle="round")

@@ -32,18 +32,25 @@ def main(argv: list[str] | None = None) -> int:
     example: dict[str, Any] = runpy.run_path(str(EXAMPLE))
     events, _ = example["scene"](np.random.default_rng(0))
     model = load_model(args.model).for_sensor(example["SENSOR"])
-    found = [
+    decisions = [
         decision
         for decision in stream(np.array_split(events, 100), model, every_us=10_000)
         if not decision.complete
     ]
-    shown = [
-        [decision for decision in found if decision.time_us <= 1000 * ms][-1] for ms in TIMES_MS
+    shown_decisions = [
+        [decision for decision in decisions if decision.time_us <= 1000 * ms][-1] for ms in TIMES_MS
     ]
     titles = [f"{ms} ms" for ms in TIMES_MS]
     words = "Six digits that begin one after the other on 320x240 pixels"
     draw_into(
-        args.picture, draw_objects, shown, titles, events, model.config.sensor, words, dpi=130
+        args.picture,
+        draw_objects,
+        shown_decisions,
+        titles,
+        events,
+        model.config.sensor,
+        words,
+        dpi=130,
     )
     return 0
 

@@ -57,17 +57,17 @@ PALE = "#d8d8d8"
 def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
     """For each frame, the events that it shows, the newest decision, and the seconds so far."""
     processor = Processor(load_model("digits"), every_us=1_000, start_us=0)
-    before_us = 0
+    offset_us = 0
     for digit in DIGITS:
         events = open_recording(sample_recordings()[digit]).read()
         events = events[events["t"] < DURATION_US]
-        events["t"] += before_us
-        for start_us in range(before_us, before_us + DURATION_US, STEP_US):
+        events["t"] += offset_us
+        for start_us in range(offset_us, offset_us + DURATION_US, STEP_US):
             end_us = start_us + STEP_US
             decisions = processor.push(events[(events["t"] >= start_us) & (events["t"] < end_us)])
-            shown = events[(events["t"] >= end_us - SHOWN_US) & (events["t"] < end_us)]
-            yield shown, decisions[-1] if decisions else None, end_us * 1e-6
-        before_us += DURATION_US
+            shown_events = events[(events["t"] >= end_us - SHOWN_US) & (events["t"] < end_us)]
+            yield shown_events, decisions[-1] if decisions else None, end_us * 1e-6
+        offset_us += DURATION_US
 
 
 def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Image.Image:
@@ -93,10 +93,10 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
     best = int(probabilities.argmax())
     for k, (name, probability) in enumerate(zip(classes, probabilities, strict=True)):
         y = top + 20 * k
-        sure = k == best and probability >= 0.5
+        is_sure = k == best and probability >= 0.5
         draw.text((left, y), name, fill=INK, font=small)
         bar = (left + 18, y + 3, left + 18 + int(170 * probability), y + 14)
-        draw.rectangle(bar, fill=INK if sure else PALE)
+        draw.rectangle(bar, fill=INK if is_sure else PALE)
     time = f"{1e3 * seconds:.0f} ms, a decision every millisecond"
     draw.text((left, 16), time, fill=INK, font=small)
     if probabilities[best] >= 0.5:

@@ -72,24 +72,31 @@ def paths_of(
     return [path for path, _ in reconstruction(windows, pixels)]
 
 
-def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
-    """A row of the report: the share of paths found, and the shares right of these and of all.
+def path_row(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
+    """A row of the report, with shares of the windows of `paths`.
+
+    "found" is the share of windows with a path that is not refused. "right" is the share of these
+    paths that are right, and "opposite" the share that point in the opposite direction.
+    "right_of_all" is the share of right paths among all paths, refused or not.
 
     A path is right if its mean place lies within 45 degrees of the window's angle in `angles`, in
-    radians.
+    radians. It is opposite if it lies more than 135 degrees away.
     """
     means = np.array([path.at(PARTS).mean(0) for path in paths])
     path_angles = np.arctan2(means[:, 1], means[:, 0])
     # the difference of two angles, in [0, pi]
-    off = np.abs(np.angle(np.exp(1j * (path_angles - angles))))
-    found = np.array([not path.refused for path in paths])
+    angle_errors = np.abs(np.angle(np.exp(1j * (path_angles - angles))))
+    is_found = np.array([not path.refused for path in paths])
+    is_right = angle_errors < np.pi / 4
+    is_opposite = angle_errors > 3 * np.pi / 4
+    reasons = Counter(path.refused for path in paths if path.refused)
     return {
         "windows": len(paths),
-        "found": float(found.mean()),
-        "right": float((off[found] < np.pi / 4).mean()) if found.any() else None,
-        "opposite": float((off[found] > 3 * np.pi / 4).mean()) if found.any() else None,
-        "right_of_all": float((off < np.pi / 4).mean()),
-        "refused": dict(Counter(path.refused for path in paths if path.refused).most_common()),
+        "found": float(is_found.mean()),
+        "right": float(is_right[is_found].mean()) if is_found.any() else None,
+        "opposite": float(is_opposite[is_found].mean()) if is_found.any() else None,
+        "right_of_all": float(is_right.mean()),
+        "refused": dict(reasons.most_common()),
     }
 
 
@@ -118,22 +125,22 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
             pixels = measure_pixels(windows, (SIDE, SIDE), SACCADE_US)
             paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, pixels)
             ends = np.median([path.positions[-1] for path in paths], axis=0)
-            true = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
+            true_angle = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
             title = f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"
-            rows[title] = judged(paths, np.full(n, true))
+            rows[title] = path_row(paths, np.full(n, true_angle))
 
     third = SACCADE_US // 3
     rate = min(RATES)
     starts = third * (np.arange(n) % 9)
-    wide = [
+    wide_windows = [
         cut(file, start - third, start + 2 * third, rate, start)
         for file, start in zip(files, starts.tolist(), strict=True)
     ]
-    true_of = np.array([angles[k] for k in (starts // SACCADE_US).tolist()])
+    true_angles = np.array([angles[k] for k in (starts // SACCADE_US).tolist()])
     for name, span in (("alone", 1), ("with those beside", SPAN)):
-        windows = wide if span > 1 else [part_of(window, third) for window in wide]
+        windows = wide_windows if span > 1 else [part_of(window, third) for window in wide_windows]
         paths = paths_of(windows, (SIDE, SIDE), third, pixels)
-        rows[f"N-MNIST, thirds of saccades, {rate:.0%}, {name}"] = judged(paths, true_of)
+        rows[f"N-MNIST, thirds of saccades, {rate:.0%}, {name}"] = path_row(paths, true_angles)
     return rows
 
 
@@ -145,11 +152,11 @@ def swings(n: int) -> dict[str, Any]:
         angles = 2 * np.pi * np.arange(n) / n
         for i, angle in enumerate(angles):
             name = list(hands.SHAPES)[i % len(hands.SHAPES)]
-            made = hands.record(name, float(angle), np.random.default_rng((k, i)), session)
-            windows.append(_columns(made[c] for c in "txyp"))
+            recording = hands.record(name, float(angle), np.random.default_rng((k, i)), session)
+            windows.append(_columns(recording[column] for column in "txyp"))
         pixels = measure_pixels(windows, hands.SENSOR, hands.WINDOW_US)
         paths = paths_of(windows, hands.SENSOR, hands.WINDOW_US, pixels)
-        rows[f"hand motion, {title}"] = judged(paths, angles)
+        rows[f"hand motion, {title}"] = path_row(paths, angles)
     return rows
 
 
@@ -160,9 +167,9 @@ def _uniform(n: int, rng: np.random.Generator) -> Columns:
 def _flicker(n: int, rng: np.random.Generator) -> list[np.ndarray]:
     """All pixels flicker at once: bursts of OFF and of ON take turns."""
     _, x, y, _ = _uniform(n, rng)
-    halves = 2 * rng.integers(3, 12)
-    which = np.sort(rng.integers(0, halves, n))
-    return [np.sort(which * SACCADE_US // halves + rng.integers(0, 500, n)), x, y, which % 2]
+    n_bursts = 2 * rng.integers(3, 12)
+    burst = np.sort(rng.integers(0, n_bursts, n))
+    return [np.sort(burst * SACCADE_US // n_bursts + rng.integers(0, 500, n)), x, y, burst % 2]
 
 
 def _one_polarity(n: int, rng: np.random.Generator) -> list[np.ndarray]:
@@ -179,10 +186,15 @@ def _pairs(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
     """About .7 of the events are at one to five hot pixels, the others anywhere."""
     t, x, y, p = _uniform(n, rng)
-    hot = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
-    which = rng.integers(0, len(hot), n)
-    often = rng.random(n) < 0.7
-    return [t, np.where(often, hot[which, 0, 0], x), np.where(often, hot[which, 1, 0], y), p]
+    hot_pixels = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
+    which = rng.integers(0, len(hot_pixels), n)
+    is_hot = rng.random(n) < 0.7
+    return [
+        t,
+        np.where(is_hot, hot_pixels[which, 0, 0], x),
+        np.where(is_hot, hot_pixels[which, 1, 0], y),
+        p,
+    ]
 
 
 NOISE: dict[str, Callable[[int, np.random.Generator], Sequence[np.ndarray]]] = {
@@ -208,8 +220,8 @@ def noise(n: int) -> dict[str, Any]:
     for kind in NOISE:
         windows = noise_windows(kind, n, rng)
         paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, MeasuredPixels())
-        found = float(np.mean([not path.refused for path in paths]))
-        rows[f"noise, {kind}"] = {"windows": n, "found": found}
+        found_share = float(np.mean([not path.refused for path in paths]))
+        rows[f"noise, {kind}"] = {"windows": n, "found": found_share}
     return rows
 
 
@@ -233,10 +245,10 @@ def main(argv: list[str] | None = None) -> int:
     add_count(parser, "--windows", 200, "of each kind")
     args = parser.parse_args(argv)
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         return measure(args.nmnist, 8 if quick else args.windows)
 
-    return run_script(parser, argv, measured, "found_paths")
+    return run_script(parser, argv, measure_report, "found_paths")
 
 
 if __name__ == "__main__":

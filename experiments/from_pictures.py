@@ -143,47 +143,61 @@ def link_official(nmnist: Path, out: Path) -> None:
 
 
 def measure(
-    name: str, pictures: Path, tests: list[Path], seeds: int, out: Path, more: tuple[str, ...]
+    name: str,
+    pictures: Path,
+    tests: list[Path],
+    seeds: int,
+    out: Path,
+    more_options: tuple[str, ...],
 ) -> dict[str, Any]:
     """The entry of a set in the report, with a trained and tested network for each seed.
 
-    more : options of `train` besides those of `OPTIONS`.
+    more_options : options of `train` besides those of `OPTIONS`.
     """
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     with progress(seeds, f"training for {TITLES[name]}") as bar:
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
-            words = [*OPTIONS[name].split(), *more, "--seed", seed, "--out", model, "--json"]
+            arguments = [
+                *OPTIONS[name].split(),
+                *more_options,
+                "--seed",
+                seed,
+                "--out",
+                model,
+                "--json",
+            ]
             began = time.monotonic()
             is_new = not model.exists()
             if name in FOLLOWING:
-                epochs = int(more[1]) if more else None
+                # the only further option is --epochs, with its number
+                epochs = int(more_options[1]) if more_options else None
                 record = train_following(name, pictures, seed, epochs, model)
             else:
-                record = command("train", pictures, *words)
+                record = command("train", pictures, *arguments)
             minutes = (time.monotonic() - began) / 60
             reports = [command("evaluate", model, folder, "--json") for folder in tests]
-            confusion = np.sum([report["confusion"] for report in reports], 0)
-            windows = np.sum([report["window_confusion"] for report in reports], 0)
+            recording_confusion = np.sum([report["confusion"] for report in reports], 0)
+            window_confusion = np.sum([report["window_confusion"] for report in reports], 0)
             rows.append(
                 {
-                    "accuracy": float(np.trace(confusion) / confusion.sum()),
-                    "recordings": int(confusion.sum()),
-                    "window_accuracy": float(np.trace(windows) / windows.sum()),
-                    "windows": int(windows.sum()),
+                    "accuracy": float(np.trace(recording_confusion) / recording_confusion.sum()),
+                    "recordings": int(recording_confusion.sum()),
+                    "window_accuracy": float(np.trace(window_confusion) / window_confusion.sum()),
+                    "windows": int(window_confusion.sum()),
                     "minutes": minutes if is_new else None,
                     "simulated_held_out": record["validation"]["per_window"],
-                    "confusion": confusion.tolist(),
+                    "confusion": recording_confusion.tolist(),
                 }
             )
             bar.update()
-    given = f"async-tnt train PICTURES {OPTIONS[name]}"
+    command_line = f"async-tnt train PICTURES {OPTIONS[name]}"
     if name in FOLLOWING:
-        given += " (following)"
+        command_line += " (following)"
     return {
         "title": TITLES[name],
-        "command": " ".join((given, *more)),
+        "command": " ".join((command_line, *more_options)),
         "pictures": record["data"]["pictures"],
         "classes": reports[0]["classes"],
         "networks": rows,
@@ -194,7 +208,8 @@ def measure(
 def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) -> dict[str, Any]:
     """Accuracies of the networks on `n` simulated digits.
 
-    Also writes the model to bundle: the first network, with its test in its record.
+    The function also writes the model that is bundled: the first network, with its test in its
+    record.
     """
     models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
     tested = {"recordings of": "N-MNIST's official test part", **networks[0], "minutes": None}
@@ -240,9 +255,10 @@ def main(argv: list[str] | None = None) -> int:
         parts = [folder / part for part in TESTS[name]]
         report["sets"][name] = measure(name, pictures, parts, seeds, out / "models", more)
         if name == "nmnist":
-            tests = data_folder(args.mnist, "mnist", "--mnist"), 5 if args.quick else 1_000
+            mnist = data_folder(args.mnist, "mnist", "--mnist")
+            n_images = 5 if args.quick else 1_000
             report["sets"][name]["simulated"] = test_moving(
-                report["sets"][name]["networks"], out, *tests
+                report["sets"][name]["networks"], out, mnist, n_images
             )
         write_outputs(args, report)
     print_tables(report, "from_pictures")

@@ -6,7 +6,7 @@ Our engine computes only what has changed. It is compared with onnxruntime, Open
 
 All backends run in one process with one thread each, and take turns as in `experiments.decisions`.
 They see the bundled recordings, whose 34 x 34 pixels are mapped onto each network's grid. Weights
-are random: times do not depend on them as long as about half of the ReLUs are open. Before anything
+are random, because times do not depend on them if about half of the ReLUs are open. Before anything
 is timed, all backends must give the same logits within 1e-4.
 
 Packages that are not installed are left out. To install all: `pip install torch==2.13.0 onnx
@@ -90,7 +90,7 @@ classes."""
 def made_model(name: str) -> Model:
     """A model with torch's initial weights.
 
-    Its batch norms get random statistics, with which the features of no layer vanish.
+    Its batch norms get random statistics, chosen so that the features of no layer vanish.
     """
     build, config, n_classes = NETWORKS[name]
     with torch.random.fork_rng():
@@ -151,7 +151,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 
 
 def draw_incremental(report: dict[str, Any]) -> Figure:
-    """Draw medians and quartiles of times in blocks, and hollow, medians from call to call."""
+    """Draw medians and quartiles of times in blocks, and as hollow marks medians call by call."""
     figure = new_figure(4.4)
     looks = {name: look for name, look in LOOKS.items() if name != NOT_DRAWN}
     for k, (name, row) in enumerate(report["networks"].items()):
@@ -169,8 +169,8 @@ def draw_incremental(report: dict[str, Any]) -> Figure:
             words = label.replace("\n", " ")
             write_at(figure, x, 4.28, words, fontsize=SMALL, color=colour, va="bottom")
             x += 1.75
-    where = f"{report['machine']['cpu']}, one thread"
-    write_at(figure, 6.9, 4.28, where, fontsize=SMALL, color=TEXT, va="bottom")
+    machine_words = f"{report['machine']['cpu']}, one thread"
+    write_at(figure, 6.9, 4.28, machine_words, fontsize=SMALL, color=TEXT, va="bottom")
     return figure
 
 
@@ -181,10 +181,10 @@ def main(argv: list[str] | None = None) -> int:
     """
     parser = script_parser("incremental", __doc__, "a few decisions of each", draws=True)
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         return measure(QUICK if quick else FULL, quick)
 
-    return run_script(parser, argv, measured, "incremental", draw_incremental)
+    return run_script(parser, argv, measure_report, "incremental", draw_incremental)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ This time is compared with the time that it takes to compute the whole map.
     python -m experiments.map_times [--quick] [--ssla-rt PROGRAM WEIGHTS] [--json FILE]
 
 The models are the bundled `digits-everywhere`, and four convolutions with random weights. They see
-bundled recordings that stand anywhere on the sensor, with 1,400 events a window. All runs in one
-process with one thread, and is warm. At each moment these are timed in turn:
+bundled recordings that stand anywhere on the sensor, with 1,400 events a window. Everything runs in
+one warm process with one thread. At each moment these are timed in turn:
 
 - `push` and `fire` with one event, which follows another event,
 - `push` and `fire` with 1,000 more events,
@@ -98,8 +98,10 @@ def models() -> dict[str, Model]:
     bundled = load_model("digits-everywhere")
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        made = Model.from_torch(four(bundled.config.channels), bundled.config, bundled.classes)
-    return {"digits-everywhere": bundled, "four convolutions": made}
+        random_model = Model.from_torch(
+            four(bundled.config.channels), bundled.config, bundled.classes
+        )
+    return {"digits-everywhere": bundled, "four convolutions": random_model}
 
 
 def moving(
@@ -145,14 +147,14 @@ def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network
         raise WorkDiffers("objects depend on how the events are cut")
     volume = at_once.volume()
     for name, network in networks.items():
-        away = float(np.abs(network(volume) - decision.logits).max())
-        if away > (0.0 if name == "dense" else 1e-4):
-            raise WorkDiffers(f"the map of {name} is {away:g} away from ours")
+        difference = float(np.abs(network(volume) - decision.logits).max())
+        if difference > (0.0 if name == "dense" else 1e-4):
+            raise WorkDiffers(f"the map of {name} is {difference:g} away from ours")
 
 
 def _objects(decision: Decision) -> list[Any]:
     """The objects of a decision without their numbers, which depend on earlier decisions."""
-    return [replace(found, id=0) for found in decision.objects or ()]
+    return [replace(found_object, id=0) for found_object in decision.objects or ()]
 
 
 def times(model: Model, n_moments: int) -> dict[str, Any]:
@@ -162,36 +164,39 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
     duration_us = model.config.window_us * n_moments
     events = moving(model.config.sensor, OBJECTS, A_WINDOW * n_moments, duration_us, 20.0)
     check(model, events[:1_300], networks)
-    followed = Processor(model, start_us=0)
+    # `continued` gets all events; `fresh` begins anew at each moment
+    continued = Processor(model, start_us=0)
     fresh = Processor(model, start_us=0)
-    measured: dict[str, list[float]] = {}
+    times_us: dict[str, list[float]] = {}
 
-    def timed(name: str, work: Callable[[Any], object], on: object) -> None:
+    def timed(name: str, work: Callable[[Any], object], argument: object) -> None:
         started = time.perf_counter()
-        work(on)
-        measured.setdefault(name, []).append(1e6 * (time.perf_counter() - started))
+        work(argument)
+        times_us.setdefault(name, []).append(1e6 * (time.perf_counter() - started))
 
     def decide(processor: Processor) -> Callable[[Any], object]:
         return lambda events: (processor.push(events), processor.fire())
 
     with no_collector():
         for k in range(n_moments):
-            of_moment = events[A_WINDOW * k : A_WINDOW * (k + 1)]
-            decide(followed)(of_moment[:299])
+            new_events = events[A_WINDOW * k : A_WINDOW * (k + 1)]
+            decide(continued)(new_events[:299])
             # This decision is not timed. It fills the caches again, after a dense pass has emptied
             # them.
-            decide(followed)(of_moment[299].item())
-            timed("one event", decide(followed), of_moment[300].item())
-            timed("1,000 events", decide(followed), of_moment[301:1301])
-            volume = followed.volume()
+            decide(continued)(new_events[299].item())
+            timed("one event", decide(continued), new_events[300].item())
+            timed("1,000 events", decide(continued), new_events[301:1301])
+            volume = continued.volume()
             fresh.reset()
-            timed("new window", decide(fresh), of_moment[0].item())
-            decide(fresh)(of_moment)
+            timed("new window", decide(fresh), new_events[0].item())
+            decide(fresh)(new_events)
             for name, network in networks.items():
                 timed(name, network, volume)
-    # the first tenth is left out, in which caches and branch predictors get warm
-    warm = {name: np.array(values[len(values) // 10 :]) for name, values in measured.items()}
-    return {name: latency(values) for name, values in warm.items()}
+    # the first tenth is left out, because caches and branch predictors get warm in it
+    warm_times_us = {
+        name: np.array(values[len(values) // 10 :]) for name, values in times_us.items()
+    }
+    return {name: latency(values) for name, values in warm_times_us.items()}
 
 
 def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
@@ -200,13 +205,15 @@ def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
     with TemporaryDirectory() as folder:
         path = f"{folder}/events.npy"
         np.save(path, np.stack([events[name] for name in "txyp"], 1).astype(np.float32))
-        words = [program, "--weights", weights, "--events", path]
-        words += ["--warmup", str(len(events) // 10)]
-        printed = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True).stdout
-    us = {"ns": 1e-3, "us": 1.0, "ms": 1e3}
+        command_words = [program, "--weights", weights, "--events", path]
+        command_words += ["--warmup", str(len(events) // 10)]
+        printed = subprocess.run(
+            command_words, stdout=subprocess.PIPE, check=True, text=True
+        ).stdout
+    us_of_unit = {"ns": 1e-3, "us": 1.0, "ms": 1e3}
     rows = re.findall(r"(p50|p99) +: ([\d.]+) (.s)", printed)
-    found = {name: float(n) * us[unit] for name, n, unit in rows}
-    return {"median": found["p50"], "p99": found["p99"]}
+    percentiles_us = {name: float(n) * us_of_unit[unit] for name, n, unit in rows}
+    return {"median": percentiles_us["p50"], "p99": percentiles_us["p99"]}
 
 
 def load(model: Model, n_objects: int, seconds: float) -> float:
@@ -228,9 +235,9 @@ def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
     n_moments = 20 if quick else MOMENTS
     seconds = 0.05 if quick else 1.0
     rows: dict[str, Any] = {}
-    found = models()
-    with progress(len(found) * (len(SENSORS) + OBJECTS), "times") as bar, one_thread(True):
-        for name, model in found.items():
+    models_by_name = models()
+    with progress(len(models_by_name) * (len(SENSORS) + OBJECTS), "times") as bar, one_thread(True):
+        for name, model in models_by_name.items():
             rows[name] = {"times_us": {}, "load": {}}
             for sensor in SENSORS:
                 size = "x".join(map(str, sensor))

@@ -79,9 +79,9 @@ def main(argv: list[str] | None = None) -> int:
     warmup(model)
     processor = Processor(model, every_us=20_000)
     rng = np.random.default_rng(0)
-    n = PACKET * PACKETS_A_WINDOW
+    n_window_events = PACKET * PACKETS_A_WINDOW
     config = model.config
-    window = structured(made_columns(rng, config.sensor, n, config.window_us))
+    window = structured(made_columns(rng, config.sensor, n_window_events, config.window_us))
     window["t"][0] = 0
 
     first_mb = None
@@ -89,17 +89,17 @@ def main(argv: list[str] | None = None) -> int:
     n_decisions = 0
     start_us = 0
     started = time.perf_counter()
-    shown = started
+    shown_s = started
     while n_events < args.events:
         n_decisions += push_window(processor, window, start_us)
         start_us += model.config.window_us
         n_events += len(window)
         if first_mb is None and n_events >= FIRST:
             first_mb = resident_mb()
-        if time.perf_counter() - shown > 2:
-            shown = time.perf_counter()
-            so_far = f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB"
-            print(so_far, file=sys.stderr, flush=True)
+        if time.perf_counter() - shown_s > 2:
+            shown_s = time.perf_counter()
+            progress_line = f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB"
+            print(progress_line, file=sys.stderr, flush=True)
 
     last_mb = resident_mb()
     if processor.counts.received != n_events:

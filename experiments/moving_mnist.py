@@ -112,7 +112,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Make the set, compare it with N-MNIST, and print both. Returns the exit code 0."""
+    """Make the set, compare it with N-MNIST, and print its size and the comparison.
+
+    Returns the exit code 0.
+    """
     parser = plain_parser("moving_mnist", DESCRIPTION, EPILOG)
     add_arguments(parser)
     args = parser.parse_args(argv)
@@ -127,7 +130,7 @@ def main(argv: list[str] | None = None) -> int:
 
     started = time.monotonic()
     try:
-        made = build(
+        moving_set = build(
             mnist,
             args.out,
             split=args.split,
@@ -139,34 +142,34 @@ def main(argv: list[str] | None = None) -> int:
         )
         seconds = time.monotonic() - started
         if args.bin is not None:
-            export(made, args.bin)
-        columns = compare(made, mnist, nmnist)
+            export(moving_set, args.bin)
+        columns = compare(moving_set, mnist, nmnist)
     except KeyboardInterrupt:
-        kept = f"finished shards are kept in {args.out}. Give the same command again to resume."
-        raise KeyboardInterrupt(f"interrupted; {kept}") from None
+        advice = f"finished shards are kept in {args.out}. Give the same command again to resume."
+        raise KeyboardInterrupt(f"interrupted; {advice}") from None
 
     if args.json:
-        say(json.dumps(_as_json(made, columns, args.motions, seconds)))
+        say(json.dumps(_as_json(moving_set, columns, args.motions, seconds)))
     else:
-        _print(made, columns, seconds, exported=args.bin, compared=nmnist is not None)
+        _print(moving_set, columns, seconds, exported=args.bin, compared=nmnist is not None)
     return 0
 
 
 def _nmnist_folder(given: Path | None) -> Path | None:
-    """The folder of N-MNIST, which is given or lies in $TNT_DATA; None if there is none."""
+    """The folder of N-MNIST: the one that is given, or that in $TNT_DATA; None without either."""
     root = os.environ.get("TNT_DATA")
     if given is None and not (root and (Path(root) / "nmnist").is_dir()):
         return None
     return data_folder(given, "nmnist", "--nmnist")
 
 
-def _size(made: MovingMnist) -> int:
+def _size(moving_set: MovingMnist) -> int:
     """The size of all shards together, in bytes."""
-    return sum(path.stat().st_size for path in made.shards)
+    return sum(path.stat().st_size for path in moving_set.shards)
 
 
 def _as_json(
-    made: MovingMnist, columns: Columns, motions: str, seconds: float
+    moving_set: MovingMnist, columns: Columns, motions: str, seconds: float
 ) -> dict[str, object]:
     """The object that --json prints. A number that is not finite is null."""
     statistics = {
@@ -174,10 +177,10 @@ def _as_json(
         for title, column in columns.items()
     }
     return {
-        "out": str(made.folder),
-        "recordings": len(made),
-        "shards": len(made.shards),
-        "bytes": _size(made),
+        "out": str(moving_set.folder),
+        "recordings": len(moving_set),
+        "shards": len(moving_set.shards),
+        "bytes": _size(moving_set),
         "seconds": round(seconds, 3),
         "motions": motions,
         "statistics": statistics,
@@ -185,13 +188,18 @@ def _as_json(
 
 
 def _print(
-    made: MovingMnist, columns: Columns, seconds: float, *, exported: Path | None, compared: bool
+    moving_set: MovingMnist,
+    columns: Columns,
+    seconds: float,
+    *,
+    exported: Path | None,
+    compared: bool,
 ) -> None:
     """Print what was made, and the statistics side by side."""
     say(
-        f"{made.folder}: {len(made)} recordings ({len(made.parameters['images'])} images, "
-        f"{len(made.motions)} motions) in {len(made.shards)} files, {_size(made) / 1e6:.1f} MB; "
-        f"{seconds:.1f} s"
+        f"{moving_set.folder}: {len(moving_set)} recordings "
+        f"({len(moving_set.parameters['images'])} images, {len(moving_set.motions)} motions) in "
+        f"{len(moving_set.shards)} files, {_size(moving_set) / 1e6:.1f} MB; {seconds:.1f} s"
     )
     if exported is not None:
         say(f"{exported}: the same in N-MNIST's format")
@@ -202,13 +210,13 @@ def _print(
         note("no N-MNIST to compare with; give --nmnist FOLDER")
 
 
-def export(made: MovingMnist, folder: Path) -> None:
+def export(moving_set: MovingMnist, folder: Path) -> None:
     """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`.
 
     The number is the image's index + 1.
     """
-    with progress(len(made), "exporting") as bar:
-        for shard in made:
+    with progress(len(moving_set), "exporting") as bar:
+        for shard in moving_set:
             motion = folder / shard.metadata["motion"]["name"]
             for label in set(shard.labels.tolist()):
                 (motion / str(label)).mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@
 Latency. The other process sends one datagram of 100 events per millisecond. The receivers take
 turns: a plain blocking socket, a `UdpSource`, and a `UdpSource` whose `Processor` decides on each
 datagram. The time is taken from just before `send` until the bytes, the packet or the decision are
-there. The plain socket shows how long the system takes to wake a process; the rest is ours.
+there. The plain socket shows how long the system takes to wake a process. The rest is our time.
 
 Load. The other process sends events at an even rate for `--seconds`, in datagrams that fit
 Ethernet, to a `UdpSource` and a `Processor` that decides every 5 ms. Each event has the time at
@@ -53,7 +53,7 @@ WAYS = ("plain_socket", "packet", "decision")
 """Ways of receiving that are compared."""
 
 SHARE_S = 1e-4
-"""The sender sends the events of this time at once, in seconds. It sends one datagram at least."""
+"""Seconds of the load whose events the sender sends at once, see `send_load`."""
 
 BUFFER_BYTES = 1 << 22
 """Size of the system's buffer for datagrams that wait, in bytes."""
@@ -83,13 +83,16 @@ def send_pings(ports: list[int], n: int) -> None:
 def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
     """Send events at an even rate, and return counts of what was sent.
 
-    The events of `SHARE_S` seconds are sent at once, as a share of the load. A share is one
-    datagram at least, or the events of a second if these are fewer.
+    The load is sent in shares. A share has the events of `SHARE_S` seconds, and is sent at once, at
+    the end of these seconds. If that would be less than one datagram of `EVENTS` events, a share is
+    one datagram. If the load has fewer than `EVENTS` events a second, a share has the events of one
+    second.
     """
     # number of events of a share
     n = max(1, round(rate * SHARE_S), min(EVENTS, round(rate)))
     events = random_events(n)
-    # times before the end of the share; the last event is due at its end
+    # Times at which events are due, relative to the end of their share, and so negative. The first
+    # event is due at the beginning of the share. The last event is due one period before its end.
     offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)
     n_shares = max(1, round(seconds * rate / n))
     n_datagrams = 0
@@ -122,7 +125,10 @@ def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
 
 
 def other_process(*task: Any) -> subprocess.Popen[str]:
-    """A new process of this script, which does a task: a key of `main`'s `tasks` and arguments."""
+    """A new process of this script, which does a task.
+
+    task : a key of `tasks` in `main`, and the arguments of that function.
+    """
     words = [sys.executable, "-m", "experiments.network", "--task", json.dumps(task)]
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
@@ -139,21 +145,21 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
     sensor = model.config.sensor
     processor = Processor(model, every_events=EVENTS)
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain,
-        UdpSource(port=0, sensor=sensor) as packets,
-        UdpSource(port=0, sensor=sensor) as deciding,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain_socket,
+        UdpSource(port=0, sensor=sensor) as packet_source,
+        UdpSource(port=0, sensor=sensor) as decision_source,
     ):
-        plain.bind(("127.0.0.1", 0))
-        plain.settimeout(30)  # the sender may have died
-        ports = [plain.getsockname()[1], packets.port, deciding.port]
-        sending = other_process("pings", ports, n)
+        plain_socket.bind(("127.0.0.1", 0))
+        plain_socket.settimeout(30)  # the sender may have died
+        ports = [plain_socket.getsockname()[1], packet_source.port, decision_source.port]
+        sender_process = other_process("pings", ports, n)
         try:
             n_events = dict.fromkeys(WAYS, 0)
             for k in range(n):
-                sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
+                sent_us = int.from_bytes(plain_socket.recv(1 << 16)[:8], "little")
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
-                for way, source in (("packet", packets), ("decision", deciding)):
-                    # We were late: this datagram came in one packet with the previous datagram.
+                for way, source in (("packet", packet_source), ("decision", decision_source)):
+                    # This process was late: the datagram came in one packet with the previous one.
                     if n_events[way] > k * EVENTS:
                         continue
                     packet = source.receive(30)
@@ -165,8 +171,8 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                     if n_decided:
                         late_us[way].append(now_us - int(packet["t"][0]))
         finally:
-            sending.kill()
-            sending.wait()
+            sender_process.kill()
+            sender_process.wait()
     result: dict[str, Any] = {way: latency(np.array(values)) for way, values in late_us.items()}
     result["packet_adds"] = {
         key: result["packet"][key] - result["plain_socket"][key] for key in ("median", "p99")
@@ -181,16 +187,16 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
     with UdpSource(
         port=0, sensor=model.config.sensor, timeout_s=30, buffer_bytes=BUFFER_BYTES
     ) as source:
-        sending = other_process("load", source.port, seconds, rate)
+        sender_process = other_process("load", source.port, seconds, rate)
         try:
             for packet in source:
                 # only the first packet may take long, because the sender starts
                 source.timeout_s = SILENCE_S
                 for decision in processor.push(packet):
                     delays_us.append(time.monotonic_ns() / 1e3 - decision.time_us)
-            sent = json.loads(sending.communicate(timeout=30)[0])
+            sent = json.loads(sender_process.communicate(timeout=30)[0])
         finally:
-            sending.kill()
+            sender_process.kill()
         counts = source.counts
     return {
         "rate_wanted": rate,
@@ -211,14 +217,14 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
 
 def wrong_with_load(result: dict[str, Any]) -> list[str]:
     """Problems under load: missing or malformed datagrams, or a sender that was too slow."""
-    wrong = []
+    problems = []
     if result["datagrams_missing"]:
-        wrong.append(f"{result['datagrams_missing']} datagrams missing")
+        problems.append(f"{result['datagrams_missing']} datagrams missing")
     if result["sent"]["events_per_s"] < 0.99 * result["rate_wanted"]:
-        wrong.append(f"only {result['sent']['events_per_s']:,} events/s sent")
+        problems.append(f"only {result['sent']['events_per_s']:,} events/s sent")
     if result["received"]["malformed"]:
-        wrong.append(f"{result['received']['malformed']} malformed")
-    return wrong
+        problems.append(f"{result['received']['malformed']} malformed")
+    return problems
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -239,9 +245,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.task:
-        what, *arguments = args.task
+        task_name, *arguments = args.task
         tasks: dict[str, Callable[..., Any]] = {"pings": send_pings, "load": send_load}
-        print(json.dumps(tasks[what](*arguments)), flush=True)
+        print(json.dumps(tasks[task_name](*arguments)), flush=True)
         return 0
     if not (0 < args.seconds < math.inf and 1 <= args.rate < math.inf):
         parser.error("--seconds must be above 0, --rate at least 1")
@@ -256,8 +262,8 @@ def main(argv: list[str] | None = None) -> int:
     result["wrong"] = wrong_with_load(result["load"])
     write_outputs(args, result)
     print(json.dumps(result))
-    for what in result["wrong"]:
-        print(f"WRONG: {what}", file=sys.stderr)
+    for problem in result["wrong"]:
+        print(f"WRONG: {problem}", file=sys.stderr)
     return int(bool(result["wrong"]))
 
 

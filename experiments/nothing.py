@@ -78,12 +78,12 @@ def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     """Events all over a disc that flickers: ON and OFF take turns."""
     n = len(share)
     radius = rng.uniform(0.1, 0.25) * side
-    far = radius * np.sqrt(rng.random(n))
+    distance = radius * np.sqrt(rng.random(n))
     angle = rng.uniform(0, 2 * np.pi, n)
     x, y = rng.uniform(radius, side - radius, 2)
     return (
-        x + far * np.cos(angle),
-        y + far * np.sin(angle),
+        x + distance * np.cos(angle),
+        y + distance * np.sin(angle),
         np.sin(2 * np.pi * share * rng.integers(2, 8)) > 0,
     )
 
@@ -107,13 +107,13 @@ def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     n = len(share)
     turn = rng.uniform(0, np.pi / 2)
     along = rng.uniform(0, side, n)
-    first = rng.random(n) < 0.5
-    moved = rng.uniform(0.2, 0.6) * side * (share - 0.5)
-    u = np.where(first, along, 0) + moved
-    v = np.where(first, 0, along) + moved * rng.choice([-1, 1])
+    is_first_side = rng.random(n) < 0.5
+    shift = rng.uniform(0.2, 0.6) * side * (share - 0.5)
+    u = np.where(is_first_side, along, 0) + shift
+    v = np.where(is_first_side, 0, along) + shift * rng.choice([-1, 1])
     x = np.cos(turn) * u - np.sin(turn) * v
     y = np.sin(turn) * u + np.cos(turn) * v
-    return side / 2 + x, side / 2 + y, first
+    return side / 2 + x, side / 2 + y, is_first_side
 
 
 KINDS: dict[str, Callable[[np.ndarray, int, np.random.Generator], Place]] = {
@@ -145,9 +145,9 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
             for k in range(n_windows)
         )
         rows[name] = _share(processor, windows)
-    known = processor.classes or ()
+    own_classes = processor.classes or ()
     for name, folder in folders.items():
-        files = [path for path in recordings_under(folder) if path.parent.name not in known]
+        files = [path for path in recordings_under(folder) if path.parent.name not in own_classes]
         objects = _objects(files, config.sensor[0], config.window_us, n_windows)
         rows[f"{name} (tested only)"] = _share(processor, objects)
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}
@@ -183,20 +183,25 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
     """Shares of windows with a confident decision, at the end and at some moment."""
-    last = []
-    highest = []
+    last_probabilities = []
+    highest_probabilities = []
     for events in windows:
         processor.reset()
         probabilities = [
             decision.probability for decision in [*processor.push(events), processor.fire()]
         ]
-        last.append(probabilities[-1])
-        highest.append(max(probabilities))
+        last_probabilities.append(probabilities[-1])
+        highest_probabilities.append(max(probabilities))
     at_some_moment = {
-        f"{level:g}": float(np.mean(np.array(highest) >= level)) for level in (SURE, SURER)
+        f"{level:g}": float(np.mean(np.array(highest_probabilities) >= level))
+        for level in (SURE, SURER)
     }
-    decided = float(np.mean(np.array(last) >= SURE))
-    return {"windows": len(last), "decided": decided, "at_some_moment": at_some_moment}
+    decided = float(np.mean(np.array(last_probabilities) >= SURE))
+    return {
+        "windows": len(last_probabilities),
+        "decided": decided,
+        "at_some_moment": at_some_moment,
+    }
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -214,10 +219,10 @@ def main(argv: list[str] | None = None) -> int:
         if getattr(args, name) is not None
     }
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         return measure(args.model, folders, 10 if quick else 500)
 
-    return run_script(parser, argv, measured, "nothing")
+    return run_script(parser, argv, measure_report, "nothing")
 
 
 if __name__ == "__main__":

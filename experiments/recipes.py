@@ -85,20 +85,22 @@ def read(
 def characters(folder: Path, config: Any) -> TrainingData:
     """The data of HOTS' characters, in windows of 35 ms. From the third on they are held out."""
     data = read(folder, config.replace(window_us=35_000), sensor=(32, 32), validation=0.0)
-    late = data.training.start_us >= 2 * 35_000
-    return replace(data, training=data.training[~late], validation=data.training[late])
+    is_held_out = data.training.start_us >= 2 * 35_000
+    return replace(
+        data, training=data.training[~is_held_out], validation=data.training[is_held_out]
+    )
 
 
 def sessions(folder: Path, config: Any) -> TrainingData:
     """The data of two made sessions: the first is for training, the second is held out."""
     other_day = Session(threshold=0.28, mismatch=0.2, noise_hz=2.0, size=0.8, place=(6.0, -4.0))
     directions = tuple(np.pi / 4 * np.arange(8))
-    parts = []
+    session_data = []
     for k, session in enumerate((Session(), other_day)):
-        made = write(folder / f"session{k}", 60, directions, seed=k, session=session)
+        session_folder = write(folder / f"session{k}", 60, directions, seed=k, session=session)
         config_of_set = config.replace(window_us=WINDOW_US)
-        parts.append(read(made, config_of_set, sensor=SENSOR, validation=0.0))
-    return replace(parts[0], validation=parts[1].training)
+        session_data.append(read(session_folder, config_of_set, sensor=SENSOR, validation=0.0))
+    return replace(session_data[0], validation=session_data[1].training)
 
 
 SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
@@ -118,15 +120,15 @@ def measure(
     config = data.config.replace(**volume)
     settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed)
     fitted = fit(replace(data, config=config), settings, run_folder, progress=progress)
-    found = fitted.model.record["validation"]
+    validation = fitted.model.record["validation"]
     return {
         "seed": seed,
-        "per_window": found["per_window"],
-        "mean_over_time": float(np.mean(list(found["against_time_ms"].values()))),
-        "against_time_ms": found["against_time_ms"],
-        "sure_of_nothing": found["sure_of_nothing"],
+        "per_window": validation["per_window"],
+        "mean_over_time": float(np.mean(list(validation["against_time_ms"].values()))),
+        "against_time_ms": validation["against_time_ms"],
+        "sure_of_nothing": validation["sure_of_nothing"],
         "multiplications": fitted.model.multiplications,
-        "windows": found["windows"],
+        "windows": validation["windows"],
     }
 
 
@@ -157,8 +159,10 @@ def main(argv: list[str] | None = None) -> int:
     add_json(parser)
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
-    given = [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
-    names = args.sets or given
+    sets_with_folder = [
+        name for name in SETS if name == "sessions" or getattr(args, name) is not None
+    ]
+    names = args.sets or sets_with_folder
     report = earlier_report(args, {"sets": {}}) | {"machine": machine("torch")}
     for name in names:
         _measure_set(name, args, report)
@@ -172,14 +176,14 @@ def _measure_set(name: str, args: argparse.Namespace, report: dict[str, Any]) ->
     if folder is None:
         raise FileNotFoundError(f"no folder of {name}: give --{name}")
     data = SETS[name](folder, default_config())
-    found = report["sets"].setdefault(name, {})
+    candidate_rows = report["sets"].setdefault(name, {})
     for candidate in args.candidates:
-        done = {row["seed"]: row for row in found.get(candidate, [])}
+        rows_by_seed = {row["seed"]: row for row in candidate_rows.get(candidate, [])}
         for seed in range(args.seeds):
-            if seed not in done:
+            if seed not in rows_by_seed:
                 run_folder = args.out / name / f"{candidate}{seed}".replace(" ", "_")
-                done[seed] = measure(name, data, CANDIDATES[candidate], seed, run_folder)
-                found[candidate] = [done[k] for k in sorted(done)]
+                rows_by_seed[seed] = measure(name, data, CANDIDATES[candidate], seed, run_folder)
+                candidate_rows[candidate] = [rows_by_seed[k] for k in sorted(rows_by_seed)]
                 write_outputs(args, report)
 
 

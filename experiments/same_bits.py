@@ -2,10 +2,10 @@
 
     python -m experiments.same_bits [--json experiments/results/same_bits.json] [--check]
 
-One digest is of volumes: of the first window of each recording after several numbers of events, for
-each landmark that needs no network, each polarity and each image. Each bundled model has a digest
-of its logits. --check compares the digests with the recorded digests, and exits with 1 if one
-differs.
+One digest is that of all volumes. They show the first window of each recording after several
+numbers of events, for each landmark that needs no network, each polarity and each image. Each
+bundled model has a digest of its logits. --check compares the digests with the recorded digests,
+and exits with 1 if one differs.
 
 Kernels state the order in which they add, so the length of a processor's vectors does not matter.
 Compared so far are x86-64 with AVX2 and with AVX-512, and arm64 under emulation.
@@ -60,7 +60,7 @@ def digests() -> dict[str, str]:
             for first, last in itertools.pairwise((0, *PREFIXES)):
                 volume.update(window[first:last])
                 volumes.update(np.ascontiguousarray(volume.array).tobytes())
-    found = {"volumes": volumes.hexdigest()}
+    digest_of = {"volumes": volumes.hexdigest()}
     for name in bundled_models():
         logits = hashlib.sha256()
         processor = Processor(load_model(name), start_us=0)
@@ -69,8 +69,8 @@ def digests() -> dict[str, str]:
             for first, last in itertools.pairwise((0, *PREFIXES[:4])):
                 processor.push(events[first:last])
                 logits.update(np.ascontiguousarray(processor.fire().logits).tobytes())
-        found[name] = logits.hexdigest()
-    return found
+        digest_of[name] = logits.hexdigest()
+    return digest_of
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -28,12 +28,12 @@ def sample_indices(labels: np.ndarray) -> dict[int, int]:
     """
     indices = {}
     for digit in range(10):
-        found = np.flatnonzero(labels[FIRST_SAMPLE:] == digit)
-        if len(found) == 0:
+        places = np.flatnonzero(labels[FIRST_SAMPLE:] == digit)
+        if len(places) == 0:
             raise ValueError(
                 f"no image of a {digit} from index {FIRST_SAMPLE} on, in {len(labels)} images"
             )
-        indices[digit] = FIRST_SAMPLE + int(found[0])
+        indices[digit] = FIRST_SAMPLE + int(places[0])
     return indices
 
 

@@ -56,7 +56,7 @@ processor.push_one(1000, 1, 1, 1)
 processor.fire()
 step("decision")
 """
-"""Program of `ours_cold` and `ours_warm`, which `_AROUND` holds."""
+"""Program of `ours_cold` and `ours_warm`, which `_TIMED_PROGRAM` holds."""
 
 _ONNXRUNTIME = """
 import numpy as np
@@ -73,7 +73,7 @@ step("load")
 session.run(["logits"], {"volume": np.zeros(arguments["shape"], np.float32)})
 step("decision")
 """
-"""Program of onnxruntime, which `_AROUND` holds."""
+"""Program of onnxruntime, which `_TIMED_PROGRAM` holds."""
 
 _TORCH = """
 import torch
@@ -92,9 +92,9 @@ with torch.inference_mode():
     network(torch.zeros(arguments["shape"])).argmax()
 step("decision")
 """
-"""Program of torch, which `_AROUND` holds."""
+"""Program of torch, which `_TIMED_PROGRAM` holds."""
 
-_AROUND = """
+_TIMED_PROGRAM = """
 import json, sys, time
 arguments = json.loads(sys.argv[1])
 seconds = {{}}
@@ -139,17 +139,18 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
             (folder / "model.onnx").write_bytes(to_onnx(model).SerializeToString())
         for k in range(rounds + 1):
             bar.update()
+            # the order alternates, so that no row always starts after the same other row
             for name in rows if k % 2 else reversed(rows):
                 if k == 0 and name == "ours_cold":
                     continue
                 cache = None
                 if cold:
                     cache = folder / (f"cold {k}" if name == "ours_cold" else "warm")
-                for step, taken in _start(name, arguments, cache).items():
+                for step, step_seconds in _start(name, arguments, cache).items():
                     if k:
-                        seconds[name].setdefault(step, []).append(taken)
+                        seconds[name].setdefault(step, []).append(step_seconds)
     return {
-        name: {step: spread(np.array(taken)) for step, taken in steps.items()}
+        name: {step: spread(np.array(step_seconds)) for step, step_seconds in steps.items()}
         for name, steps in seconds.items()
     }
 
@@ -174,14 +175,14 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
     environment = os.environ | settings
     # Python may write bytecode, because an installed package has bytecode, too
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    command = [sys.executable, "-c", _AROUND.format(body=body), json.dumps(arguments)]
+    command = [sys.executable, "-c", _TIMED_PROGRAM.format(body=body), json.dumps(arguments)]
     started = time.perf_counter()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    taken = time.perf_counter() - started
-    if done.returncode:
-        raise RuntimeError(f"the start of {name} failed:\n{done.stderr}")
-    steps: dict[str, float] = json.loads(done.stdout)
-    return {**steps, "first_decision": sum(steps.values()), "process": taken}
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    process_seconds = time.perf_counter() - started
+    if process.returncode:
+        raise RuntimeError(f"the start of {name} failed:\n{process.stderr}")
+    steps: dict[str, float] = json.loads(process.stdout)
+    return {**steps, "first_decision": sum(steps.values()), "process": process_seconds}
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -189,14 +190,14 @@ def measure(quick: bool) -> dict[str, Any]:
     model = load_model(MODEL)
     rounds = 1 if quick else ROUNDS
     warmup(model)
-    found = bench_starts(model, rounds, cold=not quick)
-    about: dict[str, Any] = {
+    starts = bench_starts(model, rounds, cold=not quick)
+    settings: dict[str, Any] = {
         "machine": machine(*PACKAGES),
         "quick": quick,
         "rounds": rounds,
         "work": WORK,
     }
-    return about | {"starts": found, "left_out": left_out(cold=not quick)}
+    return settings | {"starts": starts, "left_out": left_out(cold=not quick)}
 
 
 def main(argv: list[str] | None = None) -> int:

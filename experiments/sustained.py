@@ -52,16 +52,16 @@ MAX_DELAY_US = 50_000
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
     """Packets of a millisecond, whose places are those of a bundled recording, repeated.
 
-    Each packet is in new memory. Packets come in real time from `started` on, or at once if it is
-    None.
+    Each packet is in new memory. Packets come in real time from `started` on. If `started` is None,
+    they come at once.
     """
     events = open_recording(sample_recordings()[3]).read()
     n = max(1, round(rate * PACKET_US * 1e-6))
-    before = 0
+    n_before = 0
     for k in range(round(seconds * 1e6 / PACKET_US)):
-        packet = events[np.arange(before, before + n) % len(events)]
+        packet = events[np.arange(n_before, n_before + n) % len(events)]
         packet["t"] = k * PACKET_US + np.arange(n) * PACKET_US // n
-        before += n
+        n_before += n
         if started is not None:
             ahead_s = due_s(started, packet) - time.monotonic()
             if ahead_s > 0:
@@ -77,9 +77,9 @@ def due_s(started: float, packet: np.ndarray) -> float:
 def share_of_core(processor: Processor, rate: float, seconds: float) -> float:
     """Processor seconds for each second of a stream."""
     processor.reset()
-    made = list(packets(rate, seconds))
+    stream = list(packets(rate, seconds))
     started = time.process_time()
-    for packet in made:
+    for packet in stream:
         processor.push(packet)
     return (time.process_time() - started) / seconds
 
@@ -122,9 +122,10 @@ def measure(
     # this stream warms the processor up
     share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
-    # a line through the shares: seconds of an event, and share of a core without events
-    an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))
-    sustained = (1.0 - at_rest) / an_event
+    # A line is fitted to the shares. Its slope is the seconds of an event. Its intercept is the
+    # share of a core that is used without events.
+    event_s, share_at_rest = map(float, np.polyfit(RATES, shares, 1))
+    sustained = (1.0 - share_at_rest) / event_s
     streams = {f"{load:g}": under_load(processor, load * sustained, seconds) for load in loads}
     return {
         "machine": machine(),
@@ -133,7 +134,7 @@ def measure(
         "seconds": seconds,
         "max_delay_us": MAX_DELAY_US,
         "share_of_core": dict(zip(map(str, RATES), shares, strict=True)),
-        "event_us": an_event * 1e6,
+        "event_us": event_s * 1e6,
         "sustained": sustained,
         "streams": streams,
     }
@@ -145,7 +146,7 @@ def draw(report: dict[str, Any]) -> Figure:
     axes = axes_at(figure, 0.8, 0.8, 4.9, 2.0)
     loads = list(map(float, report["streams"]))
     for (colour, dashes), p in zip(HIGHLIGHTS, PERCENTILES, strict=False):
-        delays = [of["delay_ms"][f"{p:g}"] for of in report["streams"].values()]
+        delays = [stream["delay_ms"][f"{p:g}"] for stream in report["streams"].values()]
         axes.loglog(loads, delays, marker="o", ms=3, color=colour, ls=dashes, label=f"{p:g} %")
     axes.set_xlabel("load: the rate divided by the sustained one")
     axes.set_ylabel("delay of a packet, ms")
@@ -170,12 +171,12 @@ def main(argv: list[str] | None = None) -> int:
     )
     args = parser.parse_args(argv)
 
-    def measured(quick: bool) -> dict[str, Any]:
+    def measure_report(quick: bool) -> dict[str, Any]:
         if quick:
             return measure(args.model, args.every_events, 1.0, LOADS[::5])
         return measure(args.model, args.every_events, args.seconds, LOADS)
 
-    return run_script(parser, argv, measured, "sustained", draw)
+    return run_script(parser, argv, measure_report, "sustained", draw)
 
 
 if __name__ == "__main__":

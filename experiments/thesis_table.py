@@ -265,8 +265,8 @@ def _write(record: dict[str, Any], args: argparse.Namespace) -> None:
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
     write_text(args.out / "table.md", _tables(record) + "\n")
     if args.into is not None:
-        there = read_json(args.into)
-        write_text(args.into, json.dumps(merged(there, record), indent=1) + "\n")
+        earlier_record = read_json(args.into)
+        write_text(args.into, json.dumps(merged(earlier_record, record), indent=1) + "\n")
 
 
 def _tables(record: dict[str, Any]) -> str:
@@ -281,17 +281,18 @@ def _tables(record: dict[str, Any]) -> str:
 def _listed(runs: list[Run], iterations: int | None) -> list[str]:
     """Lines that list the networks, a line for each row.
 
-    A line tells what the row is trained on, with how many seeds, and for how many steps.
+    A line says what a row's networks are trained on, with how many seeds, and for how many steps.
     """
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
         row = ROWS[name]
-        of_row = [run for run in runs if run.row == name]
-        on = ", ".join(dict.fromkeys(run.trained_on for run in of_row))
-        seeds = len({run.seed for run in of_row})
+        row_runs = [run for run in runs if run.row == name]
+        training_sets = ", ".join(dict.fromkeys(run.trained_on for run in row_runs))
+        seeds = len({run.seed for run in row_runs})
         steps = f"{iterations or row.iterations:,} steps"
         lines.append(
-            f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}"
+            f"  {name:<30} trained on {training_sets:<10} {seeds} "
+            f"seed{'s' if seeds > 1 else ' '}  {steps}"
         )
     return lines
 
@@ -300,16 +301,16 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
     """Lines on what the printed tables show, and on where the results are."""
     data = record["data"]
     n_seeds = len(record["seeds"])
-    fewer = []
+    rows_with_fewer = []
     for name, columns in record["table"].items():
         n = min(len(part["seeds"]) for part in columns.values())
         if n < n_seeds:
-            fewer.append(f"{name} {n}")
+            rows_with_fewer.append(f"{name} {n}")
     seeds = ", ".join(map(str, record["seeds"]))
-    but = f" (fewer: {', '.join(fewer)})" if fewer else ""
+    exceptions = f" (fewer: {', '.join(rows_with_fewer)})" if rows_with_fewer else ""
     return [
         "",
-        f"mean ± deviation over seeds {seeds}{but}; windows per step: {args.batch}.",
+        f"mean ± deviation over seeds {seeds}{exceptions}; windows per step: {args.batch}.",
         f"N-MNIST: {data['training_recordings']} recordings to train on, "
         f"{data['held_out_recordings']} held out, {data['test_recordings']} to test on; the split "
         f"is {data['split']}.",

@@ -4,8 +4,8 @@
 
 Each thread has its own volume or Processor, and its own packets of random events on the sensor of
 `digits`, a million a second. Both ways take turns. They are timed by the wall clock, so the machine
-must be quiet. Each takes a tenth of a second or more: the system starts both threads on one core,
-and needs tens of milliseconds until each has a core of its own.
+must be quiet. Each takes a tenth of a second or more, because the system starts both threads on one
+core, and needs tens of milliseconds until each has a core of its own.
 
 A thread that finds Python's lock taken sleeps until it is woken. The time to wake it is measured,
 too.
@@ -53,24 +53,24 @@ def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[st
     of a Processor with a decision every millisecond.
     """
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
-    takers: dict[str, Any] = {
+    targets: dict[str, Any] = {
         "volume": TNTVolume(model.config),
         "windows": Processor(model, start_us=0),
         "every_us": Processor(model, start_us=0, every_us=1000),
     }
 
-    def stream(taker: Any) -> Work:
-        take = taker.update if isinstance(taker, TNTVolume) else taker.push
+    def stream(target: Any) -> Work:
+        push = target.update if isinstance(target, TNTVolume) else target.push
 
         def run() -> None:
             for _ in range(n_passes):
-                taker.reset()
+                target.reset()
                 for events_of_packet in packets:
-                    take(events_of_packet)
+                    push(events_of_packet)
 
         return run
 
-    return {name: stream(taker) for name, taker in takers.items()}
+    return {name: stream(target) for name, target in targets.items()}
 
 
 def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
@@ -90,11 +90,11 @@ def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
 
 def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
     """The time of two works one after the other, divided by their time in two threads."""
-    both = {
+    cases = {
         "one after the other": partial(seconds, pair, in_threads=False),
         "in threads": partial(seconds, pair, in_threads=True),
     }
-    measured = interleave(both, rounds)
+    measured = interleave(cases, rounds)
     return spread(measured["one after the other"] / measured["in threads"])
 
 
@@ -103,26 +103,26 @@ def wake_us(n: int = 2_000) -> float:
 
     A thread that waits for Python's lock loses this time.
     """
-    there = threading.Lock()
-    back = threading.Lock()
-    took = []
+    request = threading.Lock()
+    reply = threading.Lock()
+    round_seconds = []
 
     def answer() -> None:
         for _ in range(n):
-            there.acquire()
-            back.release()
+            request.acquire()
+            reply.release()
 
-    there.acquire()
-    back.acquire()
+    request.acquire()
+    reply.acquire()
     other = threading.Thread(target=answer)
     other.start()
     for _ in range(n):
         started = time.perf_counter()
-        there.release()
-        back.acquire()
-        took.append(time.perf_counter() - started)
+        request.release()
+        reply.acquire()
+        round_seconds.append(time.perf_counter() - started)
     other.join()
-    return float(np.median(took)) / 2 * 1e6  # a round wakes two threads
+    return float(np.median(round_seconds)) / 2 * 1e6  # a round wakes two threads
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -136,10 +136,12 @@ def measure(quick: bool) -> dict[str, Any]:
     ]
     report: dict[str, Any] = {"model": MODEL, "machine": machine(), "wake_us": wake_us()}
     for packet in PACKETS:
-        one = works(model, structured(columns[0]), packet, n_passes)
-        other = works(model, structured(columns[1]), packet, n_passes)
-        for case in one:
-            report.setdefault(case, {})[str(packet)] = speed_up((one[case], other[case]), rounds)
+        first_works = works(model, structured(columns[0]), packet, n_passes)
+        second_works = works(model, structured(columns[1]), packet, n_passes)
+        for case in first_works:
+            report.setdefault(case, {})[str(packet)] = speed_up(
+                (first_works[case], second_works[case]), rounds
+            )
     return report
 
 

@@ -128,59 +128,59 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
 
     mnist : MNIST, which the test of `whole` in simulated motions needs.
     """
-    hand = partial(hands.write, session=hands.SESSIONS[0])
-    other_hand = partial(hands.write, session=hands.SESSIONS[1])
-    made = {
+    write_hands = partial(hands.write, session=hands.SESSIONS[0])
+    write_other_hands = partial(hands.write, session=hands.SESSIONS[1])
+    sets_by_name = {
         "hands": MadeSet(
             tuple(hands.SHAPES),
             hands.SENSOR,
             hands.WINDOW_US,
-            hand,
+            write_hands,
             160,
             40,
             _modes(RIGHT, EIGHTHS, ("--epochs", "25")),
             {
-                "recorded motion": (RIGHT, hand),
-                "other motions": (OTHERS, hand),
-                "opposite": ((np.pi,), hand),
-                "perpendicular": ((np.pi / 2, -np.pi / 2), hand),
-                "turned": (tuple(np.pi / 4 * np.array([1, 3, 5, 7])), hand),
-                "other motions, another session": (OTHERS, other_hand),
+                "recorded motion": (RIGHT, write_hands),
+                "other motions": (OTHERS, write_hands),
+                "opposite": ((np.pi,), write_hands),
+                "perpendicular": ((np.pi / 2, -np.pi / 2), write_hands),
+                "turned": (tuple(np.pi / 4 * np.array([1, 3, 5, 7])), write_hands),
+                "other motions, another session": (OTHERS, write_other_hands),
             },
         ),
     }
     if nmnist is not None:
-        learned = partial(thinned_saccades.write, source=nmnist / "Train")
-        tested = partial(thinned_saccades.write, source=nmnist / "Test")
-        made["saccades"] = MadeSet(
+        write_training = partial(thinned_saccades.write, source=nmnist / "Train")
+        write_test = partial(thinned_saccades.write, source=nmnist / "Test")
+        sets_by_name["saccades"] = MadeSet(
             CLASSES,
             thinned_saccades.SENSOR,
             SACCADE_US,
-            learned,
+            write_training,
             480,
             100,
             _modes((0,), (0, 1, 2)),
-            {"recorded motion": ((0,), tested), "other motions": ((1, 2), tested)},
+            {"recorded motion": ((0,), write_test), "other motions": ((1, 2), write_test)},
         )
-        made["volumes"] = replace(
-            made["saccades"],
+        sets_by_name["volumes"] = replace(
+            sets_by_name["saccades"],
             modes={name: ((0,), (*MOVED, *options)) for name, options in VOLUMES.items()},
         )
-        made["whole"] = MadeSet(
+        sets_by_name["whole"] = MadeSet(
             CLASSES,
             thinned_saccades.SENSOR,
             SACCADE_US,
-            partial(learned, share=1.0),
+            partial(write_training, share=1.0),
             None,
             None,
             {"resynthesized": ((0,), MOVED)},
             {
-                "first saccade": ((0,), partial(tested, share=1.0)),
-                "all saccades": ((0, 1, 2), partial(tested, share=1.0)),
+                "first saccade": ((0,), partial(write_test, share=1.0)),
+                "all saccades": ((0, 1, 2), partial(write_test, share=1.0)),
             },
             None if mnist is None else partial(_in_simulated_motions, nmnist=nmnist, mnist=mnist),
         )
-    return made
+    return sets_by_name
 
 
 def _modes(
@@ -198,47 +198,57 @@ def _modes(
     }
 
 
-def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+def measure(
+    made_set: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """The report of a set, with the accuracy of each way to train in each test.
 
     extra : options of `train` for all networks.
     """
-    results: dict[str, list[dict[str, float]]] = {mode: [] for mode in made.modes}
+    results: dict[str, list[dict[str, float]]] = {mode: [] for mode in made_set.modes}
     records = []
-    with progress(len(made.modes) * seeds, "training") as bar:
+    with progress(len(made_set.modes) * seeds, "training") as bar:
         for seed in range(seeds):
-            # random seeds of three kinds of data: training in one direction, in all, and tests
-            one_seed = (len(made.tests) + 2) * seed
+            # random seeds of three kinds of data: training in one direction, training in all
+            # directions, and each of the tests
+            one_seed = (len(made_set.tests) + 2) * seed
             all_seed = one_seed + 1
             first_test_seed = one_seed + 2
             tests = {
-                name: write(out / f"test{k}-{seed}", made.n_test, directions, first_test_seed + k)
-                for k, (name, (directions, write)) in enumerate(made.tests.items())
+                name: write(
+                    out / f"test{k}-{seed}", made_set.n_test, directions, first_test_seed + k
+                )
+                for k, (name, (directions, write)) in enumerate(made_set.tests.items())
             }
-            for mode, (directions, options) in made.modes.items():
+            for mode, (directions, options) in made_set.modes.items():
                 if len(directions) == 1:
                     objects = out / f"one-{seed}"
                     data_seed = one_seed
                 else:
                     objects = out / f"all-{seed}"
                     data_seed = all_seed
-                made.write(objects, made.n_train, directions, data_seed)
+                made_set.write(objects, made_set.n_train, directions, data_seed)
                 model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
-                words = ["--sensor", format_size(made.sensor), "--window-us", made.window_us]
-                words += [*options, "--seed", seed, "--out", model, "--json", *extra]
-                records.append(command("train", objects, *words).get("motions"))
+                arguments = [
+                    "--sensor",
+                    format_size(made_set.sensor),
+                    "--window-us",
+                    made_set.window_us,
+                ]
+                arguments += [*options, "--seed", seed, "--out", model, "--json", *extra]
+                records.append(command("train", objects, *arguments).get("motions"))
                 row = {}
-                for test, where in tests.items():
-                    row[test] = command("evaluate", model, where, "--json")["accuracy"]
+                for test, test_folder in tests.items():
+                    row[test] = command("evaluate", model, test_folder, "--json")["accuracy"]
                 results[mode].append(row)
                 bar.update()
 
-    if made.simulated is not None:
+    if made_set.simulated is not None:
         for mode, rows in results.items():
             models = [out / f"{mode}{seed}.safetensors" for seed in range(seeds)]
-            shares = made.simulated(models, out / "sim", made.n_train or N_IMAGES)
-            for row, right in zip(rows, shares, strict=True):
-                row["simulated motions"] = right
+            shares = made_set.simulated(models, out / "sim", made_set.n_train or N_IMAGES)
+            for row, accuracy_of_model in zip(rows, shares, strict=True):
+                row["simulated motions"] = accuracy_of_model
 
     accuracy: dict[str, dict[str, Any]] = {}
     for mode, rows in results.items():
@@ -246,12 +256,12 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
             test: {"mean": float(np.mean(values)), "seeds": values}
             for test, values in _columns(rows).items()
         }
-    n_classes = len(made.classes)
+    n_classes = len(made_set.classes)
     return {
-        "classes": made.classes,
+        "classes": made_set.classes,
         "recordings": {
-            "training": None if made.n_train is None else made.n_train * n_classes,
-            "test, each": None if made.n_test is None else made.n_test * n_classes,
+            "training": None if made_set.n_train is None else made_set.n_train * n_classes,
+            "test, each": None if made_set.n_test is None else made_set.n_test * n_classes,
         },
         "seeds": list(range(seeds)),
         "accuracy": accuracy,
@@ -264,13 +274,15 @@ def _in_simulated_motions(
     models: list[Path], folder: Path, n_images: int, *, nmnist: Path, mnist: Path
 ) -> list[float]:
     """The accuracy of each model over the windows of the simulated set *sim*."""
-    made = make_set("sim", mnist, folder, RealFolder(nmnist).read(), n_images, available_cores())
+    simulated_set = make_set(
+        "sim", mnist, folder, RealFolder(nmnist).read(), n_images, available_cores()
+    )
     pipelines = [pipeline_of(load_model(path)) for path in models]
-    right: list[list[np.ndarray]] = [[] for _ in models]
-    for _, windows in simulated_windows(made):
-        for pipeline, found in zip(pipelines, right, strict=True):
-            found.append(class_probabilities(pipeline, windows).argmax(1) == windows.labels)
-    return [float(np.concatenate(found).mean()) for found in right]
+    is_right_by_model: list[list[np.ndarray]] = [[] for _ in models]
+    for _, windows in simulated_windows(simulated_set):
+        for pipeline, is_right in zip(pipelines, is_right_by_model, strict=True):
+            is_right.append(class_probabilities(pipeline, windows).argmax(1) == windows.labels)
+    return [float(np.concatenate(is_right).mean()) for is_right in is_right_by_model]
 
 
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
@@ -295,13 +307,13 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None
     mnist = data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None
-    made = sets(nmnist, mnist)[args.set]
+    made_set = sets(nmnist, mnist)[args.set]
     with TemporaryDirectory() as name:
         if args.quick:
-            few = replace(made, n_train=10, n_test=7)
-            report = measure(few, 1, args.out or Path(name), ("--epochs", "3"))
+            small_set = replace(made_set, n_train=10, n_test=7)
+            report = measure(small_set, 1, args.out or Path(name), ("--epochs", "3"))
         else:
-            report = measure(made, args.seeds, args.out or Path(f"unseen_{args.set}"))
+            report = measure(made_set, args.seeds, args.out or Path(f"unseen_{args.set}"))
     write_outputs(args, report)
     print_tables(report, f"unseen_{args.set}")
     return 0

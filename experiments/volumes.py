@@ -43,17 +43,23 @@ ROUNDS = (31, 5)
 def measure(quick: bool) -> dict[str, Any]:
     """The report of all sensors, as one JSON object."""
     rng = np.random.default_rng(0)
+    # as an index, False is 0 (in full), and True is 1 (--quick)
     rounds = ROUNDS[quick]
-    found = []
+    sensor_reports = []
     with progress(len(GRIDS) + 1, "compiling") as bar:
         warmup()
         for grid in GRIDS:
             bar.update(title=f"volume, {grid[0]} x {grid[1]}")
-            found.append(bench_volume(grid, rng, n_events=N_EVENTS[quick], rounds=rounds))
+            sensor_reports.append(bench_volume(grid, rng, n_events=N_EVENTS[quick], rounds=rounds))
         bar.update(title="whole windows")
-        whole = whole_windows(rng, N_EVENTS[quick] if quick else N_WHOLE, rounds)
+        whole_window = whole_windows(rng, N_EVENTS[quick] if quick else N_WHOLE, rounds)
     settings = {"quick": quick, "threads": 1, "rounds": rounds}
-    return {"machine": machine(), "settings": settings, "volume": found, "whole_window": whole}
+    return {
+        "machine": machine(),
+        "settings": settings,
+        "volume": sensor_reports,
+        "whole_window": whole_window,
+    }
 
 
 def bench_volume(

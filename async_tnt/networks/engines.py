@@ -37,7 +37,7 @@ class Engine:
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
 ) -> Engine:
-    """A model with the engine that runs its networks.
+    """The engine that runs a model's networks, together with the model.
 
     The networks of a model file run compiled, those of an .onnx file in onnxruntime. An .onnx
     file of another program runs compiled where all of its nodes have a compiled form.
@@ -56,7 +56,7 @@ def choose_engine(
     ImportError : the file is an .onnx file, and onnxruntime is not installed.
     FileNotFoundError : the file does not exist.
     ValueError : the file is damaged; or `config` is missing for an .onnx file of another program;
-        or `config` is given for another model.
+        or `config` is given for a file that contains its own configuration.
     """
     if config is not None:
         return _engine_of_other_program(user_path(name_or_path), config)
@@ -89,14 +89,14 @@ def _engine_of_other_program(path: Path, config: Path) -> Engine:
     if not is_onnx(path):
         rule = f"is for .onnx files of other programs; {path} has its own"
         raise ParameterValueError("config", rule)
-    volume, classes = _read_config(config)
+    volume_config, classes = _read_config(config)
     try:
-        model = load_model(path, config=volume, classes=classes)
-    except TypeError:
+        model = load_model(path, config=volume_config, classes=classes)
+    except TypeError:  # the file contains a configuration, so this package wrote it
         rule = f"is for networks of other programs; {path} has its own"
         raise ParameterValueError("config", rule) from None
     except NotImplementedError:
-        return _engine_of_onnxruntime(path, config, volume, classes)
+        return _engine_of_onnxruntime(path, config, volume_config, classes)
     return Engine(model, model.classes)
 
 
@@ -105,14 +105,14 @@ def _read_config(path: Path) -> tuple[TNTConfig, list[str] | None]:
 
     Raises
     ------
-    ValueError : the file has a wrong content. The message names the file and what is wrong.
+    ValueError : the content of the file is wrong. The message names the file and what is wrong.
     """
     try:
-        given = parse_json(read_regular(path))
-        if not isinstance(given, dict) or "config" not in given:
-            raise ValueError(f"no 'config' in it, got {short(given)}")
-        config = TNTConfig.from_dict(given["config"])
-        classes = given.get("classes")
+        content = parse_json(read_regular(path))
+        if not isinstance(content, dict) or "config" not in content:
+            raise ValueError(f"no 'config' in it, got {short(content)}")
+        config = TNTConfig.from_dict(content["config"])
+        classes = content.get("classes")
         if classes is not None and not _are_different_names(classes):
             raise ValueError(f"`classes` must be different names, got {short(classes)}")
     except (ValueError, TypeError) as error:
@@ -130,16 +130,16 @@ def _are_different_names(classes: Any) -> bool:
 
 
 def _engine_of_onnxruntime(
-    path: Path, config: Path, volume: TNTConfig, classes: list[str] | None
+    path: Path, config: Path, volume_config: TNTConfig, classes: list[str] | None
 ) -> Engine:
     """The engine of a network without compiled form, which onnxruntime runs."""
-    network = OnnxClassifier(_network_of_logits(path), shape=volume.shape)
+    network = OnnxClassifier(_network_of_logits(path), shape=volume_config.shape)
     names = [str(k) for k in range(network.n_classes)]
     if classes is not None:
         names = [str(name) for name in classes]
     if len(names) != network.n_classes:
         raise ValueError(f"{config}: {len(names)} classes, but {path} computes {network.n_classes}")
-    return Engine(volume, names, network)
+    return Engine(volume_config, names, network)
 
 
 def _network_of_logits(path: Path) -> Any:

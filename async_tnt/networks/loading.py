@@ -112,9 +112,13 @@ def _read_model(path: Path) -> Model:
 
 
 def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> Model:
-    """The model of a file's tensors and metadata; an error if they are not what `save` wrote."""
-    written = metadata.get("sha256")
-    if written is not None and written != checksum_of(weights, metadata):
+    """The model of a file's tensors and metadata.
+
+    A ValueError or TypeError if they are not what `save` wrote. A NotImplementedError if this
+    release cannot run a layer.
+    """
+    file_checksum = metadata.get("sha256")
+    if file_checksum is not None and file_checksum != checksum_of(weights, metadata):
         raise ValueError("its checksum differs; copy or download it again")
     config, classes, record = read_description(metadata, "network")
     for name, values in weights.items():

@@ -53,17 +53,17 @@ def read_nmnist_folder(
     ValueError : a damaged file, or no recordings at all.
     FileNotFoundError : no such folder.
     """
-    found = []
+    recordings = []
     labels = []
-    for digit, of_digit in find_recordings(folder).items():
-        found += of_digit[:per_digit]
-        labels += [int(digit)] * len(of_digit[:per_digit])
+    for digit, digit_recordings in find_recordings(folder).items():
+        recordings += digit_recordings[:per_digit]
+        labels += [int(digit)] * len(digit_recordings[:per_digit])
     events = []
-    with progress(len(found), "reading") as bar:
-        for recording in found:
+    with progress(len(recordings), "reading") as bar:
+        for recording in recordings:
             bar.update()
             events.append(read_nmnist(recording.path))
-    return Recordings.from_events(events, labels, [recording.name for recording in found])
+    return Recordings.from_events(events, labels, [recording.name for recording in recordings])
 
 
 def simulate_recordings(
@@ -164,11 +164,13 @@ def digits_data(
     """
     recordings = read_nmnist_folder(folder / "Train", progress=progress)
     n_real = len(recordings)
-    learned, held_out = split_recordings(recordings, 0.1, np.random.default_rng(seed))
-    # Recording n shows image n - 1. Images of held-out recordings are not simulated.
-    unseen = [n - 1 for n in recording_numbers(recordings.names[i] for i in held_out)]
-    recordings += simulate_recordings(mnist, simulated, seed, leave_out=unseen, progress=progress)
-    learned = np.concatenate([learned, np.arange(n_real, len(recordings))])
+    training_indices, held_out = split_recordings(recordings, 0.1, np.random.default_rng(seed))
+    # Recording n shows the image with index n - 1. Images of held-out recordings are not simulated.
+    held_out_images = [n - 1 for n in recording_numbers(recordings.names[i] for i in held_out)]
+    recordings += simulate_recordings(
+        mnist, simulated, seed, leave_out=held_out_images, progress=progress
+    )
+    training_indices = np.concatenate([training_indices, np.arange(n_real, len(recordings))])
     record = {
         "source": (
             "N-MNIST recordings (Train), held out by recording, and simulated ones of MNIST "
@@ -185,6 +187,6 @@ def digits_data(
         "test": (cut(testing), {}),
         "test_windows_from_first_event": (cut(testing, first_event=True), {}),
     }
-    training = cut(recordings, which=learned)
+    training = cut(recordings, which=training_indices)
     validation = cut(recordings, which=held_out)
     return TrainingData(config, CLASSES, training, validation, record, tests)

@@ -33,8 +33,9 @@ def write(
 
     Parameters
     ----------
-    n : number of recordings of each digit. Each of them gives one window; the windows take the
-        `saccades` in turn. With None, all recordings give a window of each of `saccades`.
+    n : number of recordings of each digit. Each of these recordings gives one window, and the
+        windows take the `saccades` in turn. None: all recordings give a window of each of
+        `saccades`.
     source : N-MNIST's Train or Test, with `<digit>/*.bin`.
     share : share of the events that is kept.
     """
@@ -47,13 +48,13 @@ def write(
             )
         # The order is drawn even if all recordings are shown, because later random numbers depend
         # on it.
-        drawn = rng.permutation(len(files))[:n]
+        file_order = rng.permutation(len(files))[:n]
         if n is None:
-            shown = [(k, saccade) for saccade in saccades for k in range(len(files))]
+            windows = [(k, saccade) for saccade in saccades for k in range(len(files))]
         else:
-            shown = [(k, saccades[i % len(saccades)]) for i, k in enumerate(drawn)]
+            windows = [(k, saccades[i % len(saccades)]) for i, k in enumerate(file_order)]
         (folder / digit).mkdir(parents=True, exist_ok=True)
-        for i, (k, saccade) in enumerate(shown):
+        for i, (k, saccade) in enumerate(windows):
             events = read_nmnist(files[k])
             t = events["t"] - saccade * SACCADE_US
             kept = (t >= 0) & (t < SACCADE_US) & (rng.random(len(t)) < share)

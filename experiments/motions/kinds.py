@@ -72,8 +72,8 @@ class Motion:
         saccade (minimum jerk: at rest at both ends, 15/8 of its mean speed halfway);
         "constant-from-centre" and "bell-from-centre", the same displacements, which start at the
         sensor's centre; "beyond", see `BEYOND_PX`; or "nmnist", N-MNIST's three saccades.
-    index : place in `motions_of(kind)`; part of every recording's seed.
-    name : such as "036deg-5px"; names sort like indices.
+    index : index in `motions_of(kind)`. It is part of every recording's seed.
+    name : name such as "036deg-5px". Names have the same order as indices.
     direction_deg, distance_px : direction and length of the displacement; None for "nmnist". For
         the shape "back" they describe the way out, for "loop" the first side.
     shape : shape of the path: "line", "back" or "loop".
@@ -125,26 +125,28 @@ class Motion:
 
         # for mypy: only the motion of "nmnist" has no direction
         assert self.direction_deg is not None and self.distance_px is not None
-        from_centre = self.kind.endswith(FROM_CENTRE)
+        starts_at_centre = self.kind.endswith(FROM_CENTRE)
         if self.kind.startswith("constant") or (self.kind, self.shape) == ("beyond", "line"):
             speed = self.distance_px / (self.duration_us * 1e-6)
             motion = ConstantVelocity.towards(
                 self.direction_deg, speed, centre=centre, duration_us=self.duration_us
             )
-            return dataclasses.replace(motion, start=centre) if from_centre else motion
+            return dataclasses.replace(motion, start=centre) if starts_at_centre else motion
         angle = math.radians(self.direction_deg)
         dx = self.distance_px * math.cos(angle)
         dy = self.distance_px * math.sin(angle)
-        start = centre if from_centre else (centre[0] - dx / 2, centre[1] - dy / 2)
+        start = centre if starts_at_centre else (centre[0] - dx / 2, centre[1] - dy / 2)
         sides = {
             "line": [(dx, dy)],
             "back": [(dx, dy), (-dx, -dy)],
             "loop": [(dx, dy), (-dy, dx), (-dx, -dy), (dy, -dx)],
         }[self.shape]
-        # the saccades of a loop's sides overlap by half of their time, which rounds the corners
-        lasts = 2 if self.shape == "loop" else 1
-        step_us = self.duration_us / (len(sides) + lasts - 1)
-        moves = (Saccade(k * step_us, lasts * step_us, *side) for k, side in enumerate(sides))
+        # The saccades of a loop's sides overlap by half of their time, which rounds the corners. So
+        # a new side begins at each step, and a side of a loop takes two steps.
+        steps_of_side = 2 if self.shape == "loop" else 1
+        step_us = self.duration_us / (len(sides) + steps_of_side - 1)
+        side_us = steps_of_side * step_us
+        moves = (Saccade(k * step_us, side_us, *side) for k, side in enumerate(sides))
         return Saccades(start, tuple(moves), self.duration_us)
 
 

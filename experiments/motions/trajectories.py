@@ -183,8 +183,14 @@ def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     def start_us(saccade: int, centre: float, duration: float) -> float:
         return 1e3 * (centre - duration / 2 + float(delays_ms[saccade]))
 
-    along_x = [Saccade(start_us(s, at, ms), 1e3 * ms, px, 0.0) for s, at, ms, px in _NMNIST_MOVES_X]
-    along_y = [Saccade(start_us(s, at, ms), 1e3 * ms, 0.0, px) for s, at, ms, px in _NMNIST_MOVES_Y]
+    along_x = [
+        Saccade(start_us(saccade_number, centre_ms, lasting_ms), 1e3 * lasting_ms, px, 0.0)
+        for saccade_number, centre_ms, lasting_ms, px in _NMNIST_MOVES_X
+    ]
+    along_y = [
+        Saccade(start_us(saccade_number, centre_ms, lasting_ms), 1e3 * lasting_ms, 0.0, px)
+        for saccade_number, centre_ms, lasting_ms, px in _NMNIST_MOVES_Y
+    ]
     return Saccades(_NMNIST_START, tuple(along_x + along_y), duration_us=308_000)
 
 

@@ -61,7 +61,7 @@ def build(
     scene: Scene | None = None,
     frame_us: float = 1_000.0,
 ) -> MovingMnist:
-    """Simulate a set, or the shards that are missing of it, and show a progress bar.
+    """Simulate the shards of a set that are missing, and show a progress bar.
 
     Existing shards are kept, and damaged ones are made again. So an interrupted build resumes when
     it is called again. The same arguments give the same files, for any number of workers.
@@ -88,7 +88,7 @@ def build(
     _check_least("workers", workers, 1)
     _check_least("recordings_per_shard", recordings_per_shard, 1)
     scene = scene or Scene()
-    moving = motions_of(kind)
+    motions = motions_of(kind)
     images, labels = load_mnist(mnist_folder, split)
     which = list(range(len(images))) if which is None else [int(i) for i in which]
     if not which or not 0 <= min(which) <= max(which) < len(images):
@@ -120,26 +120,26 @@ def build(
     }
 
     folder = Path(out_folder)
-    names = shard_names(moving, len(which), recordings_per_shard)
+    names = shard_names(motions, len(which), recordings_per_shard)
     firsts = range(0, len(which), recordings_per_shard)
     jobs = []
-    for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True):
-        some = slice(first, first + recordings_per_shard)
+    for name, (motion, first) in zip(names, itertools.product(motions, firsts), strict=True):
+        in_shard = slice(first, first + recordings_per_shard)
         jobs.append(
             _Job(
                 path=folder / name,
                 motion=motion,
-                which=which[some],
-                images=images[some],
-                labels=labels[some],
+                which=which[in_shard],
+                images=images[in_shard],
+                labels=labels[in_shard],
                 seed=seed,
                 settings={"scene": scene, "frame_us": frame_us},
                 metadata={"motion": dataclasses.asdict(motion), **shared},
             )
         )
-    made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
-    _make_missing(made, jobs, workers or available_cores())
-    return made
+    moving_set = MovingMnist(folder, tuple(job.path for job in jobs), motions, parameters)
+    _make_missing(moving_set, jobs, workers or available_cores())
+    return moving_set
 
 
 def _check_least(name: str, n: int | None, least: int) -> None:
@@ -147,13 +147,13 @@ def _check_least(name: str, n: int | None, least: int) -> None:
         raise ValueError(f"`{name}` must be at least {least}, got {n}")
 
 
-def _make_missing(made: MovingMnist, jobs: list[_Job], workers: int) -> None:
+def _make_missing(moving_set: MovingMnist, jobs: list[_Job], workers: int) -> None:
     """Write the manifest, and the shards that are missing or damaged."""
-    with locked_folder(made.folder, "set.lock"):
-        write_manifest(made)
+    with locked_folder(moving_set.folder, "set.lock"):
+        write_manifest(moving_set)
         to_do = [job for job in jobs if not _is_done(job.path)]
-        n_done = len(made) - sum(len(job.images) for job in to_do)
-        bar = progress(len(made), "simulating", done=n_done)
+        n_done = len(moving_set) - sum(len(job.images) for job in to_do)
+        bar = progress(len(moving_set), "simulating", done=n_done)
         run_counted(_make_shard, to_do, workers, bar)
 
 
@@ -167,18 +167,21 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
     OSError : the folder or `set.json` is missing or not readable.
     """
     folder = Path(folder)
-    made = read_manifest(folder)
-    missing = sum(not path.is_file() for path in made.shards)
+    moving_set = read_manifest(folder)
+    missing = sum(not path.is_file() for path in moving_set.shards)
     if missing:
-        p = made.parameters
-        bright = "" if p["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
-        raise ValueError(
-            f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: "
-            f"python -m experiments.moving_mnist --mnist MNIST --out {folder} --split {p['split']} "
-            f"--motions {p['kind']} --digits {len(p['images'])} --seed {p['seed']}{bright}, or by "
-            "`build` with the parameters in set.json"
+        parameters = moving_set.parameters
+        bright_option = (
+            "" if parameters["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
         )
-    return made
+        raise ValueError(
+            f"{folder}: {missing} of {len(moving_set.shards)} shards are missing. Resume with: "
+            f"python -m experiments.moving_mnist --mnist MNIST --out {folder} "
+            f"--split {parameters['split']} --motions {parameters['kind']} "
+            f"--digits {len(parameters['images'])} --seed {parameters['seed']}{bright_option}, "
+            "or by `build` with the parameters in set.json"
+        )
+    return moving_set
 
 
 def _make_shard(job: _Job) -> int:
@@ -210,7 +213,7 @@ def _make_shard(job: _Job) -> int:
 
 
 def _is_done(path: Path) -> bool:
-    """Whether the shard is there and not damaged."""
+    """Whether the shard exists and is not damaged."""
     try:
         open_shard(path)
     except (FileNotFoundError, ValueError):

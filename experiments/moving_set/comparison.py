@@ -3,10 +3,10 @@
 The comparison has three columns of the same statistics:
 
 1. real recordings of N-MNIST,
-2. simulations of the images that they show, under N-MNIST's own saccades, which tell how good the
-   simulator is,
-3. recordings of the set, each image under three motions, which tell how the set's motions differ
-   from N-MNIST's. These are the same images, if the set has them.
+2. simulations of the images that these recordings show, under N-MNIST's own saccades. They tell
+   how good the simulator is.
+3. recordings of the set, each image under three motions. They tell how the set's motions differ
+   from N-MNIST's. They show the same images if the set has them.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ N_RECORDINGS = 200
 show images of the set's split, or over all recordings if none does."""
 
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
-"""Times at which N-MNIST's saccades begin, and at which the third ends (Orchard et al. 2015)."""
+"""Times at which N-MNIST's saccades begin, and the end of the third (Orchard et al. 2015)."""
 
 OFFICIAL_TRAIN = 60_000
 """Number of recordings in N-MNIST's training set. Recordings with larger numbers are for tests."""
 
 
 def compare(
-    made: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None
+    moving_set: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None
 ) -> dict[str, dict[str, float]]:
     """Title of a column -> its statistics by `describe_motions`. Shows a progress bar.
 
@@ -59,102 +59,111 @@ def compare(
     ValueError : a file is damaged, or a recording's digit is not that of the image with its number.
     OSError : a folder is missing.
     """
-    split = made.parameters["split"]
-    of_set = made.parameters["images"]
+    split = moving_set.parameters["split"]
+    set_images = moving_set.parameters["images"]
     columns: dict[str, dict[str, float]] = {}
     directions = _nmnist_directions()
     if nmnist_folder is None:
         shown_split = split
-        shown = _spread(of_set)
+        shown_images = _spread(set_images)
     else:
-        shown_split, found = recordings_by_image(nmnist_folder, split)
-        shown = _spread(sorted(found))
+        shown_split, recordings = recordings_by_image(nmnist_folder, split)
+        shown_images = _spread(sorted(recordings))
     images, labels = load_mnist(mnist_folder, shown_split)
-    # an image counts once in each of the first two columns, and three times in the third
+    # the bar counts an image once in each of the first two columns, and three times in the third
     n_steps = 4 if nmnist_folder is None else 5
-    with progress(n_steps * len(shown), "comparing") as bar:
+    with progress(n_steps * len(shown_images), "comparing") as bar:
         if nmnist_folder is not None:
-            for image in shown:
-                if image >= len(labels) or labels[image] != int(found[image].parent.name):
+            for image in shown_images:
+                if image >= len(labels) or labels[image] != int(recordings[image].parent.name):
                     raise ValueError(
-                        f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should "
-                        "show, is another digit"
+                        f"{recordings[image]}: MNIST's {shown_split} image {image + 1}, which it "
+                        "should show, is another digit"
                     )
-            real = _counted((read_nmnist(found[image]) for image in shown), bar)
+            real = _counted((read_nmnist(recordings[image]) for image in shown_images), bar)
             columns["N-MNIST"] = describe_motions(real, SACCADE_CUTS_US, directions)
-        simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
+        simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown_images)
         columns["simulated"] = describe_motions(
             _counted(simulated, bar), SACCADE_CUTS_US, directions
         )
-        same = [i for i in shown if i in set(of_set)] if shown_split == split else []
-        described = same if len(same) >= len(shown) / 2 else _spread(of_set)
-        columns["this set"] = _describe_set(made, described, bar, directions)
+        shared_images = []
+        if shown_split == split:
+            shared_images = [i for i in shown_images if i in set(set_images)]
+        # with too few shared images, the statistics of the set would be noisy
+        described_images = shared_images
+        if len(shared_images) < len(shown_images) / 2:
+            described_images = _spread(set_images)
+        columns["this set"] = _describe_set(moving_set, described_images, bar, directions)
     return columns
 
 
 def _describe_set(
-    made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]
+    moving_set: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]
 ) -> dict[str, float]:
     """Statistics of the set by `describe_motions`.
 
     Each image is shown under three motions, or under the only motion of the set. All motions are
     shown equally often.
     """
-    n_motions = len(made.motions)
-    shown: set[tuple[int, int]] = set()
+    n_motions = len(moving_set.motions)
+    pairs_shown: set[tuple[int, int]] = set()
     for k, image in enumerate(images):
         for turn in range(3):
             motion = (k + turn * n_motions // 3) % n_motions
-            shown.add((motion, image))
-    pairs = sorted(shown)
-    recordings = _counted(_recordings(made, pairs), bar)
-    if made.motions[0].direction_deg is None:
+            pairs_shown.add((motion, image))
+    pairs = sorted(pairs_shown)
+    recordings = _counted(_recordings(moving_set, pairs), bar)
+    if moving_set.motions[0].direction_deg is None:
         return describe_motions(recordings, SACCADE_CUTS_US, nmnist_directions)
-    moving = [made.motions[motion] for motion, _ in pairs]
-    directions = [float(motion.direction_deg or 0) for motion in moving]
-    return describe_motions(recordings, (0, moving[0].duration_us), directions)
+    shown_motions = [moving_set.motions[motion] for motion, _ in pairs]
+    directions = [float(motion.direction_deg or 0) for motion in shown_motions]
+    return describe_motions(recordings, (0, shown_motions[0].duration_us), directions)
 
 
 def describe_motions(
     recordings: Iterable[np.ndarray], cuts_us: Sequence[int], directions_deg: Sequence[float]
 ) -> dict[str, float]:
-    """Statistics of all saccades by `describe`, and the mean way from OFF events to ON events.
+    """Statistics of all saccades by `describe`, and the mean offset of ON events from OFF events.
+
+    The offset of a saccade is the vector from the centroid of its OFF events to the centroid of its
+    ON events. Its mean has a part along the motion and a part across the motion. If the part along
+    the motion is negative, ON events trail the motion.
 
     Parameters
     ----------
     recordings : structured arrays in order of time.
-    cuts_us : times at which saccades begin, and at which the last one ends.
-    directions_deg : direction of the motion in each saccade of a recording. If recordings have one
-        saccade, the direction in each recording. 0 is to the right, 90 downwards. If the number
-        along the motion is negative, ON events trail the motion.
+    cuts_us : times at which saccades begin, and the time at which the last saccade ends.
+    directions_deg : the direction of motion in each saccade of a recording, the same for all
+        recordings. If recordings have one saccade, the direction of motion in each recording. 0 is
+        to the right, 90 downwards.
     """
     saccades = [
-        events[a:b]
+        events[first:end]
         for events in recordings
-        for a, b in pairwise(np.searchsorted(events["t"], cuts_us).tolist())
+        for first, end in pairwise(np.searchsorted(events["t"], cuts_us).tolist())
     ]
     offsets = []
     for saccade, direction in zip(saccades, itertools.cycle(directions_deg), strict=False):
         on = saccade[saccade["p"] == 1]
         off = saccade[saccade["p"] == 0]
         if len(on) and len(off):
-            apart = complex(on["x"].mean() - off["x"].mean(), on["y"].mean() - off["y"].mean())
-            # turned, so that the real part is along the motion
-            offsets.append(apart * np.exp(-1j * np.radians(direction)))
-    mean = np.mean(offsets) if offsets else complex(np.nan, np.nan)
+            offset = complex(on["x"].mean() - off["x"].mean(), on["y"].mean() - off["y"].mean())
+            # a complex number x + iy, turned so that its real part is along the motion
+            offsets.append(offset * np.exp(-1j * np.radians(direction)))
+    mean_offset = np.mean(offsets) if offsets else complex(np.nan, np.nan)
     return {
         **describe(saccades, NMNIST_SENSOR),
-        "ON - OFF centroid, along the motion": float(mean.real),
-        "ON - OFF centroid, across the motion": float(mean.imag),
+        "ON - OFF centroid, along the motion": float(mean_offset.real),
+        "ON - OFF centroid, across the motion": float(mean_offset.imag),
     }
 
 
-def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.ndarray]:
+def _recordings(moving_set: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.ndarray]:
     """The recordings of pairs (index of a motion, index of an image)."""
     shard: Shard | None = None
     # pairs are sorted, so each shard is opened once
     for motion, image in pairs:
-        path, place = made.locate(motion, image)
+        path, place = moving_set.locate(motion, image)
         if shard is None or shard.path != path:
             shard = open_shard(path)
         yield shard.recording(place)
@@ -171,19 +180,19 @@ def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]
     ------
     FileNotFoundError : no recordings in the folder.
     """
-    found: dict[str, dict[int, Path]] = {"train": {}, "test": {}}
+    recordings: dict[str, dict[int, Path]] = {"train": {}, "test": {}}
     for part in ("Train", "Test"):
         for path in (folder / part).glob("[0-9]/*.bin"):
             if not re.fullmatch(r"[0-9]{1,6}", path.stem) or int(path.stem) == 0:
                 continue
             number = int(path.stem)
             if number > OFFICIAL_TRAIN:
-                found["test"][number - OFFICIAL_TRAIN - 1] = path
+                recordings["test"][number - OFFICIAL_TRAIN - 1] = path
             else:
-                found[part.lower()][number - 1] = path
-    for shown in (split, *found):
-        if found[shown]:
-            return shown, found[shown]
+                recordings[part.lower()][number - 1] = path
+    for shown_split in (split, *recordings):
+        if recordings[shown_split]:
+            return shown_split, recordings[shown_split]
     raise FileNotFoundError(f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin")
 
 
@@ -200,7 +209,7 @@ def _spread(items: list[int]) -> list[int]:
 
 
 def _counted(recordings: Iterator[np.ndarray], bar: Any) -> Iterator[np.ndarray]:
-    """The recordings as they are given. The progress bar moves after each recording."""
+    """The recordings, unchanged. The progress bar moves on after each recording."""
     for recording in recordings:
         yield recording
         bar.update()

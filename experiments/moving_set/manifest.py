@@ -5,7 +5,7 @@ parameters        everything that decides the content: split, kind of motion, in
                   seed, sensor, simulator, recordings_per_shard, package_version, and a checksum of
                   the images and labels
 motions           by index
-shards            names of the files, motion by motion, and by image within each
+shards            names of the files, motion by motion, and by image within each motion
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordi
 
 @dataclass(frozen=True)
 class MovingMnist:
-    """A set on disk. Made by `build` and `open_set`.
+    """A set on disk, as `build` and `open_set` return it.
 
     Attributes
     ----------
-    folder : its folder.
-    shards : the files, motion by motion, and by image within each.
+    folder : folder of the set.
+    shards : the files, motion by motion, and by image within each motion.
     motions : the motions, by index.
     parameters : everything that decides the content: split, kind, indices of images, seed,
         simulator ...
@@ -70,39 +70,43 @@ class MovingMnist:
         return self.shards[shard], place % step
 
 
-def write_manifest(made: MovingMnist) -> None:
+def write_manifest(moving_set: MovingMnist) -> None:
     """Write the manifest of a set, unless the same manifest is there.
 
     Raises
     ------
     ValueError : the folder has a manifest with other parameters, or shards without a manifest.
     """
-    path = made.folder / MANIFEST
+    path = moving_set.folder / MANIFEST
     if path.exists():
-        there: Any = read_manifest(made.folder).parameters
-        asked: Any = made.parameters
-        if there == asked:
+        existing: Any = read_manifest(moving_set.folder).parameters
+        requested: Any = moving_set.parameters
+        if existing == requested:
             return
         # go down to the first parameter that differs, for the message
-        while isinstance(there, dict) and isinstance(asked, dict):
-            name = next(key for key in sorted(there | asked) if there.get(key) != asked.get(key))
-            there = there.get(name)
-            asked = asked.get(name)
+        while isinstance(existing, dict) and isinstance(requested, dict):
+            name = next(
+                key
+                for key in sorted(existing | requested)
+                if existing.get(key) != requested.get(key)
+            )
+            existing = existing.get(name)
+            requested = requested.get(name)
         raise ValueError(
-            f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give "
-            "the same, or another folder"
+            f"{path}: made with other parameters: {name} is {existing!r}, requested "
+            f"{requested!r}. Give the same, or another folder"
         )
-    if any(shard.exists() for shard in made.shards):
+    if any(shard.exists() for shard in moving_set.shards):
         raise ValueError(
-            f"{made.folder}: shards without {MANIFEST}, which says how they were made. Give "
+            f"{moving_set.folder}: shards without {MANIFEST}, which says how they were made. Give "
             "another folder"
         )
     content = {
         "format": FORMAT,
         "version": VERSION,
-        "parameters": made.parameters,
-        "motions": [dataclasses.asdict(motion) for motion in made.motions],
-        "shards": [path.name for path in made.shards],
+        "parameters": moving_set.parameters,
+        "motions": [dataclasses.asdict(motion) for motion in moving_set.motions],
+        "shards": [path.name for path in moving_set.shards],
     }
     write_text(path, json.dumps(content, indent=1) + "\n")
 
@@ -127,18 +131,18 @@ def read_manifest(folder: Path) -> MovingMnist:
                 f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}"
             )
         parameters = {name: content["parameters"][name] for name in PARAMETERS}
-        moving = motions_of(parameters["kind"])
-        names = shard_names(moving, len(parameters["images"]), parameters["recordings_per_shard"])
-        motions = [dataclasses.asdict(motion) for motion in moving]
-        if content["motions"] != motions or content["shards"] != names:
+        motions = motions_of(parameters["kind"])
+        names = shard_names(motions, len(parameters["images"]), parameters["recordings_per_shard"])
+        motion_entries = [dataclasses.asdict(motion) for motion in motions]
+        if content["motions"] != motion_entries or content["shards"] != names:
             raise ValueError(
                 f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards"
             )
     except (ValueError, LookupError, TypeError, RecursionError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else error
-        raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
+        reason = f"no {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path}: damaged, or not a set of this release: {reason}") from None
     shards = tuple(folder / name for name in names)
-    return MovingMnist(folder, shards, moving, content["parameters"])
+    return MovingMnist(folder, shards, motions, content["parameters"])
 
 
 def shard_names(motions: Sequence[Motion], n_images: int, recordings_per_shard: int) -> list[str]:

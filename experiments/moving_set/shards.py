@@ -5,8 +5,8 @@ With N events in R recordings, all of which last `duration_us`:
     t              int32    (N,)       time since the recording's start, us; 0 <= t < duration_us
     x, y           uint8    (N,)       pixel
     p              uint8    (N,)       1 = ON, 0 = OFF
-    offsets        int64    (R + 1,)   recording i is events offsets[i] to offsets[i + 1]; in order
-                                       of time
+    offsets        int64    (R + 1,)   recording i is events offsets[i] to offsets[i + 1], which are
+                                       in order of time
     labels         uint8    (R,)       class
     image          int32    (R,)       index of the image in its data set, from 0
     flow           float32  (R, K, 2)  optical flow (vx, vy) of the whole image, px/s, to the right
@@ -70,8 +70,8 @@ class Shard:
 
     def recording(self, i: int) -> np.ndarray:
         """The events of recording `i`: a new structured array, which the caller may change."""
-        some = slice(int(self.offsets[i]), int(self.offsets[i + 1]))
-        return structured([self.t[some], self.x[some], self.y[some], self.p[some]])
+        events = slice(int(self.offsets[i]), int(self.offsets[i + 1]))
+        return structured([self.t[events], self.x[events], self.y[events], self.p[events]])
 
 
 def write_shard(
@@ -98,9 +98,13 @@ def write_shard(
     ------
     ValueError : a value breaks the format's rules. Then nothing is written.
     """
-    about = {**metadata, "sensor": [int(n) for n in sensor], "duration_us": int(duration_us)}
+    shard_metadata = {
+        **metadata,
+        "sensor": [int(n) for n in sensor],
+        "duration_us": int(duration_us),
+    }
     events = np.concatenate([np.empty(0, EVENT_DTYPE), *recordings])
-    given = {
+    values = {
         **{name: events[name] for name in "txyp"},
         "offsets": np.cumsum([0, *(len(events) for events in recordings)]),
         "labels": labels,
@@ -110,11 +114,11 @@ def write_shard(
     }
     columns = {}
     for name, dtype in COLUMNS.items():
-        columns[name] = np.asarray(given[name]).astype(dtype)
-        if name != "flow" and not np.array_equal(columns[name], given[name]):
+        columns[name] = np.asarray(values[name]).astype(dtype)
+        if name != "flow" and not np.array_equal(columns[name], values[name]):
             raise ValueError(f"`{name}` must hold whole numbers that fit in {np.dtype(dtype)}")
-    _check(columns, about)
-    content = save(columns, metadata={"shard": json.dumps(about)})
+    _check(columns, shard_metadata)
+    content = save(columns, metadata={"shard": json.dumps(shard_metadata)})
     with replacing(path) as part:
         part.write_bytes(content)
 
@@ -184,6 +188,7 @@ def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> No
             raise ValueError(
                 f"`{name}` must be in [0, {limit}), got {values.min()} to {values.max()}"
             )
+    # time may fall from one recording to the next only
     falls = np.flatnonzero(t[1:] < t[:-1]) + 1
     if not np.isin(falls, offsets).all():
         raise ValueError("`t` must not decrease within a recording")

@@ -8,8 +8,8 @@ module shares no code with motion re-synthesis, which is measured on its recordi
 
 The objects are eight signs, thin or bold, and darker than the background. Edges along the motion
 give no events, so each direction of motion shows other parts of a sign. Discs, squares, crosses,
-corners and triangles are no test: a network that `train` trained on one direction recognised .89 to
-.98 of them in the others.
+corners and triangles are no test, because a network that `train` trained on one direction
+recognised .89 to .98 of them in the other directions.
 """
 
 from __future__ import annotations
@@ -165,10 +165,10 @@ def _distance(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """The distance from a sign's outline at places (x, y), looked up in its table."""
     table = _table(name)
 
-    def place(at: np.ndarray) -> np.ndarray:
-        return np.clip(((at + FAR) / STEP).astype(np.int64), 0, len(table) - 1)
+    def indices(coordinates: np.ndarray) -> np.ndarray:
+        return np.clip(((coordinates + FAR) / STEP).astype(np.int64), 0, len(table) - 1)
 
-    distance: np.ndarray = table[place(y), place(x)]
+    distance: np.ndarray = table[indices(y), indices(x)]
     return distance
 
 
@@ -183,8 +183,8 @@ def record(
     width, height = SENSOR
     angle = direction + SPREAD * rng.standard_normal()
     length = rng.uniform(*SWING_PX)
-    lasts = rng.uniform(*SWING_MS) * 1e3 / WINDOW_US
-    begins = rng.uniform(0, 1 - lasts)
+    duration_share = rng.uniform(*SWING_MS) * 1e3 / WINDOW_US
+    start_share = rng.uniform(0, 1 - duration_share)
     turns_at = rng.uniform(0.4, 0.9)
     is_back = rng.random() < BACK
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-4, 4, 2)
@@ -196,49 +196,49 @@ def record(
     slope = rng.uniform(-0.001, 0.001, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     row, column = np.mgrid[:height, :width].astype(float)
-    behind = slope[0] * column + slope[1] * row
-    near = (
+    background = slope[0] * column + slope[1] * row
+    window = (
         slice(max(0, int(origin[1] - FAR * size)), int(origin[1] + FAR * size)),
         slice(max(0, int(origin[0] - FAR * size)), int(origin[0] + FAR * size)),
     )
 
-    def seen() -> Iterator[np.ndarray]:
+    def pictures() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
-            u = np.clip((share - begins) / lasts, 0, 1)
+            u = np.clip((share - start_share) / duration_share, 0, 1)
             # The object moves out. If the hand turns round, the object also moves back.
             phase = u / turns_at if is_back else u
-            way = (1 - np.cos(np.pi * phase)) / 2
-            moved = length * way
-            x = column[near] - origin[0] - moved * np.cos(angle)
-            y = row[near] - origin[1] - moved * np.sin(angle)
-            cos = np.cos(posture + turn * way)
-            sin = np.sin(posture + turn * way)
-            scale = size * (1 + nearer * way)
+            travelled = (1 - np.cos(np.pi * phase)) / 2
+            distance = length * travelled
+            x = column[window] - origin[0] - distance * np.cos(angle)
+            y = row[window] - origin[1] - distance * np.sin(angle)
+            cos = np.cos(posture + turn * travelled)
+            sin = np.sin(posture + turn * travelled)
+            scale = size * (1 + nearer * travelled)
             own_x = (cos * x + sin * y) / scale
             own_y = (cos * y - sin * x) / scale
             outline = scale * _distance(name, own_x, own_y)
-            light = behind.copy()
-            light[near] += grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
+            light = background.copy()
+            light[window] += grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
             yield light
 
-    t, x, y, p = pixel_events(seen(), threshold, session.noise_hz, WINDOW_US, STEPS, rng)
+    t, x, y, p = pixel_events(pictures(), threshold, session.noise_hz, WINDOW_US, STEPS, rng)
     t, x, y, p = _with_after_pulses(t, x, y, p, rng)
-    inside = t < WINDOW_US
-    return in_order(t[inside], x[inside], y[inside], p[inside])
+    is_in_window = t < WINDOW_US
+    return in_order(t[is_in_window], x[is_in_window], y[is_in_window], p[is_in_window])
 
 
 def _with_after_pulses(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
-    """Columns of events, followed by their after-pulses."""
-    again = rng.random(len(t)) < AFTER
-    later = t[again] + rng.uniform(20, AFTER_US, again.sum())
-    sign = np.where(rng.random(again.sum()) < AFTER_OTHER, ~p[again], p[again])
+    """Columns of events, and behind them the columns of their after-pulses."""
+    has_pulse = rng.random(len(t)) < AFTER
+    pulse_times = t[has_pulse] + rng.uniform(20, AFTER_US, has_pulse.sum())
+    pulse_signs = np.where(rng.random(has_pulse.sum()) < AFTER_OTHER, ~p[has_pulse], p[has_pulse])
     return (
-        np.concatenate([t, later]),
-        np.concatenate([x, x[again]]),
-        np.concatenate([y, y[again]]),
-        np.concatenate([p, sign]),
+        np.concatenate([t, pulse_times]),
+        np.concatenate([x, x[has_pulse]]),
+        np.concatenate([y, y[has_pulse]]),
+        np.concatenate([p, pulse_signs]),
     )
 
 

@@ -83,26 +83,26 @@ def record(
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-2, 2, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
 
-    def seen() -> Iterator[np.ndarray]:
+    def pictures() -> Iterator[np.ndarray]:
         for u in np.arange(STEPS + 1) / STEPS:
-            moved = length * (u + speed_up * u * (1 - u) - 0.5)
-            x = fine_x - origin[0] - moved * np.cos(direction)
-            y = fine_y - origin[1] - moved * np.sin(direction)
+            distance = length * (u + speed_up * u * (1 - u) - 0.5)
+            x = fine_x - origin[0] - distance * np.cos(direction)
+            y = fine_y - origin[1] - distance * np.sin(direction)
             light = np.exp(slope[0] * x + slope[1] * y)
             for shape, place, size, turn, grey in objects:
                 a = (x - place[0]) / size
                 b = (y - place[1]) / size
                 own_x = np.cos(turn) * a + np.sin(turn) * b
                 own_y = np.cos(turn) * b - np.sin(turn) * a
-                hit = inside(shape, own_x, own_y)
-                light = np.where(hit, light * np.exp(grey), light)
+                is_inside = inside(shape, own_x, own_y)
+                light = np.where(is_inside, light * np.exp(grey), light)
             yield np.log(light.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3)))
 
-    return in_order(*pixel_events(seen(), threshold, session.noise_hz, WINDOW_US, STEPS, rng))
+    return in_order(*pixel_events(pictures(), threshold, session.noise_hz, WINDOW_US, STEPS, rng))
 
 
 def pixel_events(
-    seen: Iterable[np.ndarray],
+    pictures: Iterable[np.ndarray],
     threshold: np.ndarray,
     noise_hz: float,
     window_us: int,
@@ -113,24 +113,24 @@ def pixel_events(
 
     The events are not in order, and their times are float.
 
-    seen : `steps` + 1 pictures of log luminance, (H, W), one after the other.
+    pictures : `steps` + 1 pictures of log luminance, (H, W), one after the other.
     threshold : threshold of each pixel in log luminance, (H, W).
     noise_hz : events of noise a second, of each pixel.
     """
-    level = None
+    level = None  # the log luminance at each pixel's last event
     parts = []
-    for step, light in enumerate(seen):
+    for step, light in enumerate(pictures):
         if level is None:
             level = light + threshold * rng.uniform(-1, 1, light.shape)
             continue
-        # thresholds between each pixel's light and its level: this many events
-        n = np.trunc((light - level) / threshold).astype(int)
-        level = level + n * threshold
-        rows, columns = np.nonzero(n)
-        many = abs(n[rows, columns])
-        t = (step - 1 + rng.random(many.sum())) * window_us / steps
-        is_on = n[rows, columns] > 0
-        parts.append((t, columns.repeat(many), rows.repeat(many), is_on.repeat(many)))
+        # a pixel has as many events as there are thresholds between its light and its level
+        n_thresholds = np.trunc((light - level) / threshold).astype(int)
+        level = level + n_thresholds * threshold
+        rows, columns = np.nonzero(n_thresholds)
+        n_events = abs(n_thresholds[rows, columns])
+        t = (step - 1 + rng.random(n_events.sum())) * window_us / steps
+        is_on = n_thresholds[rows, columns] > 0
+        parts.append((t, columns.repeat(n_events), rows.repeat(n_events), is_on.repeat(n_events)))
 
     height, width = threshold.shape
     n_noise = rng.poisson(noise_hz * width * height * window_us * 1e-6)

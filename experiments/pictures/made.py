@@ -116,14 +116,14 @@ def picture(name: str, rng: np.random.Generator) -> np.ndarray:
     turned_x = np.cos(angle) * x + np.sin(angle) * y
     turned_y = np.cos(angle) * y - np.sin(angle) * x
     inside = SHAPES[name](turned_x, turned_y, rng)
-    behind = rng.uniform(0.1, 0.9)
-    before = rng.uniform(0.1, 0.9)
-    if abs(behind - before) < 0.3:
-        before = behind + 0.4 if behind < 0.5 else behind - 0.4
+    background_light = rng.uniform(0.1, 0.9)
+    object_light = rng.uniform(0.1, 0.9)
+    if abs(background_light - object_light) < 0.3:
+        object_light = background_light + 0.4 if background_light < 0.5 else background_light - 0.4
     slope = rng.uniform(-0.15, 0.15, 2)
     shade = 1 + slope[0] * column + slope[1] * row
-    ground = behind * (1 + rng.uniform(0.1, 0.35) * _texture(n, rng))
-    surface = before * (1 + rng.uniform(0.05, 0.15) * _texture(n, rng))
+    ground = background_light * (1 + rng.uniform(0.1, 0.35) * _texture(n, rng))
+    surface = object_light * (1 + rng.uniform(0.05, 0.15) * _texture(n, rng))
     light = shade * np.where(inside, surface, ground)
     return np.clip(light.reshape(SIDE, FINE, SIDE, FINE).mean((1, 3)), 0.02, 1)
 
@@ -175,15 +175,15 @@ def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
     offset = rng.uniform(-3, 3, 2)
     turns_at = rng.uniform(0.7, 1.3)
 
-    def seen() -> Iterator[np.ndarray]:
+    def views() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
-            moved = length * ((1 - np.cos(np.pi * share / turns_at)) / 2 - 0.5)
-            x = SIDE / 2 + step * (column - width / 2 - offset[0] - moved * np.cos(angle))
-            y = SIDE / 2 + step * (row - height / 2 - offset[1] - moved * np.sin(angle))
+            distance = length * ((1 - np.cos(np.pi * share / turns_at)) / 2 - 0.5)
+            x = SIDE / 2 + step * (column - width / 2 - offset[0] - distance * np.cos(angle))
+            y = SIDE / 2 + step * (row - height / 2 - offset[1] - distance * np.sin(angle))
             yield _bilinear(light, np.clip(x, 0, SIDE - 1.001), np.clip(y, 0, SIDE - 1.001))
 
     threshold = rng.uniform(0.15, 0.3) * np.exp(0.1 * rng.standard_normal((height, width)))
-    t, x, y, p = pixel_events(seen(), threshold, rng.uniform(0.05, 0.5), WINDOW_US, STEPS, rng)
+    t, x, y, p = pixel_events(views(), threshold, rng.uniform(0.05, 0.5), WINDOW_US, STEPS, rng)
     return in_order(t, x, y, p)
 
 

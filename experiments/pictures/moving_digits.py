@@ -55,22 +55,25 @@ def accuracies(
     ----------
     images, labels : the test images of MNIST and their labels.
     """
-    found: dict[str, dict[str, list[float]]] = {}
+    shares_by_test: dict[str, dict[str, list[float]]] = {}
     with progress(2 * len(motions_of()) + len(SPEEDS), "digits in other motions") as bar:
         for test, case, windows, window_us in _windows(images, labels):
-            right = []
+            shares_right = []
             for model in models:
                 config = model.config.replace(window_us=window_us)
                 pipeline = pipeline_of(replace(model, config=config))
-                decided = class_probabilities(pipeline, windows).argmax(1)
-                right.append(float((decided == windows.labels).mean()))
-            found.setdefault(test, {})[case] = right
+                decided_classes = class_probabilities(pipeline, windows).argmax(1)
+                shares_right.append(float((decided_classes == windows.labels).mean()))
+            shares_by_test.setdefault(test, {})[case] = shares_right
             bar.update()
-    return found
+    return shares_by_test
 
 
 def _windows(images: np.ndarray, labels: np.ndarray) -> Iterator[tuple[str, str, Windows, int]]:
-    """All cases as (test, case, windows, length of a window in us); a case is a motion or speed."""
+    """All cases as (test, case, windows, length of a window in us).
+
+    A case is a motion or a speed.
+    """
     for test, scene in (
         ("dark on bright", Scene()),
         ("bright on dark", Scene(dark_on_bright=False)),

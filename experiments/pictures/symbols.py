@@ -36,7 +36,7 @@ def write_mnist(folder: Path, mnist: Path, n: int) -> None:
 
 
 def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> None:
-    """Draw the character of each class, black on white, with each font that has all of them."""
+    """Draw the character of each class, black on white, with each font that has all characters."""
     from PIL import Image, ImageDraw
 
     for old in folder.glob("*/*.png"):
@@ -51,10 +51,10 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> No
 
 
 def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
-    """Names and fonts that draw all these characters, from a folder, by default matplotlib's.
+    """The fonts of a folder, by default matplotlib's, that draw all characters of `text`.
 
-    A font must draw each character in a shape of its own. Of fonts that draw the same shapes, the
-    first one is taken.
+    Each font comes with its name. It must draw each character in a shape of its own. If several
+    fonts draw the same shapes, the first of these fonts is taken.
     """
     with needs_extra("plot", "fonts are matplotlib's"):
         from matplotlib import get_data_path
@@ -69,7 +69,7 @@ def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
             missing = bytes(font.getmask("\uffff"))
             drawn = [bytes(font.getmask(character)) for character in text]
             has_ink = all(map(any, drawn))
-            # no two characters look the same, and none as a missing one
+            # no two characters look the same, and none of them looks like a missing character
             all_differ = len({missing, *drawn}) > len(drawn)
             if has_ink and all_differ:
                 fonts.setdefault(b"".join(drawn), (path.stem, font))

@@ -39,7 +39,7 @@ def plain_parser(
 ) -> argparse.ArgumentParser:
     """The parser of `python -m experiments.NAME`.
 
-    It prints description and epilog as they are, without new line breaks.
+    Its help shows description and epilog as they are, without new line breaks.
     """
     return argparse.ArgumentParser(
         prog=f"python -m experiments.{name}",
@@ -105,7 +105,8 @@ def run_script(
     except WorkDiffers as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
-    # written before the tables, because measuring took minutes, and printing may fail
+    # The files are written before the tables are printed, because measuring took minutes, and
+    # printing may fail.
     write_outputs(args, report, draw)
     print_tables(report, name)
     return 0
@@ -136,13 +137,13 @@ def print_tables(report: dict[str, Any], name: str) -> None:
             print(f"{words}:", *(f"  {row:22}{why}" for row, why in rows.items()), sep="\n")
 
 
-def _leaves(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Name and text of each leaf. The name of the node above stands before a leaf's own name."""
+def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Name and text of each leaf. The name of the leaf's parent node stands before its own name."""
     for name, value in node.items():
         if isinstance(value, dict):
             yield from _leaves(value, f"{name}: ")
         else:
-            yield above + name, value
+            yield prefix + name, value
 
 
 def write_outputs(
@@ -155,10 +156,10 @@ def write_outputs(
         draw_into(args.picture, draw, report)
 
 
-def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100) -> None:
-    """Call `draw` with what is given, in the style of all figures, and write the picture."""
+def draw_into(path: Path, draw: Callable[..., Any], *arguments: Any, dpi: int = 100) -> None:
+    """Call `draw` with these arguments, in the style of all figures, and write the picture."""
     with styled():
-        save(draw(*given), path, dpi)
+        save(draw(*arguments), path, dpi)
 
 
 def exit_with(main: Callable[[], int]) -> NoReturn:

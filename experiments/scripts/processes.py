@@ -8,10 +8,12 @@ import sys
 from typing import Any
 
 
-def command(*words: object) -> dict[str, Any]:
-    """The JSON object that `async-tnt` prints if it is run with these words."""
-    done = subprocess.run(
-        [sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True
+def command(*arguments: object) -> dict[str, Any]:
+    """The JSON object that `async-tnt` prints if it is run with these arguments."""
+    process = subprocess.run(
+        [sys.executable, "-m", "async_tnt", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        check=True,
     )
-    result: dict[str, Any] = json.loads(done.stdout)
+    result: dict[str, Any] = json.loads(process.stdout)
     return result

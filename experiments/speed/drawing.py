@@ -109,14 +109,16 @@ def draw_lines(
             [us["q3"] - us["median"] for us in blocks],
         ]
         # moved a little, so that the bars of lines stand beside one another
-        at = [place + 0.03 * (k - len(shown) / 2) for place in range(len(counts))]
-        strong = name in ("incremental", "ours")
-        look = {"ms": 6, "lw": 2.4, "zorder": 3} if strong else {"ms": 4.5, "lw": 1.4, "zorder": 2}
+        x = [place + 0.03 * (k - len(shown) / 2) for place in range(len(counts))]
+        is_ours = name in ("incremental", "ours")
+        look = {"ms": 6, "lw": 2.4, "zorder": 3} if is_ours else {"ms": 4.5, "lw": 1.4, "zorder": 2}
         axes.errorbar(
-            at, medians, yerr=whiskers, color=colour, marker="o", elinewidth=1, capsize=2, **look
+            x, medians, yerr=whiskers, color=colour, marker="o", elinewidth=1, capsize=2, **look
         )
-        turns = [rows[n]["call_by_call"]["us"][name]["median"] for n in counts]
-        axes.plot(at, turns, ls="", marker="o", ms=4.5, mfc="white", mec=colour, mew=1.1, zorder=1)
+        call_medians = [rows[n]["call_by_call"]["us"][name]["median"] for n in counts]
+        axes.plot(
+            x, call_medians, ls="", marker="o", ms=4.5, mfc="white", mec=colour, mew=1.1, zorder=1
+        )
         ends.append((medians[-1], label, colour))
     axes.set_xlim(-0.3, len(counts) - 0.7)
     axes.set_xticks(range(len(counts)), [f"{int(n):,}" for n in counts])
@@ -139,15 +141,15 @@ def lay_axis(axes: Any) -> None:
 
 
 def _name_lines(axes: Any, ends: list[tuple[float, str, str]]) -> None:
-    """Write the words at the ends of lines, moved apart where they would overlap."""
+    """Write the words at the ends of lines. Words that would overlap are moved apart."""
     low, high = axes.get_ylim()
     height_points = axes.get_position().height * axes.get_figure().get_figheight() * 72
     # factor on the logarithmic axis that is the height of a line of words
-    a_line = (high / low) ** (1.25 * NORMAL / height_points)
-    free = 0.0
+    line_factor = (high / low) ** (1.25 * NORMAL / height_points)
+    lowest_free = 0.0
     for value, label, colour in sorted(ends):
         lines = label.count("\n") + 1
-        middle = max(value, free * a_line ** (lines / 2))
-        free = middle * a_line ** (lines / 2)
+        middle = max(value, lowest_free * line_factor ** (lines / 2))
+        lowest_free = middle * line_factor ** (lines / 2)
         look = {"xycoords": ("axes fraction", "data"), "fontsize": NORMAL, "annotation_clip": False}
         note(axes, label, (1, middle), (6, 0), va="center", color=colour, **look)

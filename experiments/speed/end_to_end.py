@@ -56,11 +56,11 @@ class Stream:
         if moment.start_us != self._start_us:
             self._start_us = moment.start_us
             self._n = 0
-        old = len(moment.events) - moment.n_new
-        if old > self._n:
-            self._processor.push(moment.events[self._n : old])
+        n_old = len(moment.events) - moment.n_new
+        if n_old > self._n:
+            self._processor.push(moment.events[self._n : n_old])
         # a camera's driver hands over new memory each time, too
-        self._packet = moment.events[old:].copy()
+        self._packet = moment.events[n_old:].copy()
         self._n = len(moment.events)
 
     def decide(self) -> np.ndarray:
@@ -90,8 +90,8 @@ class TorchRebuild:
         with self._torch.inference_mode():
             logits = self._network(self._batch.volume(*self._columns)[None])[0]
             int(logits.argmax())
-        found: np.ndarray = logits.numpy()
-        return found
+        logits_array: np.ndarray = logits.numpy()
+        return logits_array
 
 
 class EventcvRebuild:
@@ -137,18 +137,20 @@ def bench_end_to_end(
     onnxruntime : the faster way to call onnxruntime, of `backends.ONNXRUNTIME`; None if it is not
         installed. Each row that uses onnxruntime has a network of its own.
 
-    The other parameters, what is returned and what is raised are as for `bench_network`. Ratios are
-    to the time of `ours`.
+    The other parameters, the result and the errors are those of `bench_network`. Ratios are to the
+    time of `ours`.
     """
 
     def backends(alternating: bool) -> dict[str, Backend]:
-        made: dict[str, Backend] = {"ours": Stream(model)}
+        new_backends: dict[str, Backend] = {"ours": Stream(model)}
         if onnxruntime is not None:
-            made["ours_onnxruntime"] = Stream(model, ENGINES[onnxruntime].make(model))
+            new_backends["ours_onnxruntime"] = Stream(model, ENGINES[onnxruntime].make(model))
         if is_installed(*NEEDS["torch"]):
-            made["torch"] = TorchRebuild(model)
+            new_backends["torch"] = TorchRebuild(model)
         if onnxruntime is not None and is_installed("eventcv"):
-            made["eventcv_onnxruntime"] = EventcvRebuild(model, ENGINES[onnxruntime].make(model))
-        return made
+            new_backends["eventcv_onnxruntime"] = EventcvRebuild(
+                model, ENGINES[onnxruntime].make(model)
+            )
+        return new_backends
 
     return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)

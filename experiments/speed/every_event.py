@@ -45,23 +45,23 @@ def bench_every_event(
     ------
     WorkDiffers : the backends do not make the same decisions in the first recording.
     """
-    cut = [events[:n_events] for events in recordings]
+    used_events = [events[:n_events] for events in recordings]
     packets = [
         [events[first : first + PACKET].copy() for first in range(0, len(events), PACKET)]
-        for events in cut
+        for events in used_events
     ]
     processors = {"ours": Processor(model, every_events=1, start_us=0)}
     for name, network in networks.items():
         processors[name] = Processor(model, classifier=in_full(network), every_events=1, start_us=0)
     _check_same({name: _decisions(processor, packets[0]) for name, processor in processors.items()})
-    us = interleave(
+    us_by_backend = interleave(
         {name: _through(processor, packets) for name, processor in processors.items()}, rounds
     )
     report: dict[str, dict[str, Any]] = {}
-    for name, values in us.items():
+    for name, values in us_by_backend.items():
         report[name] = {"us": spread(values), "a_second": 1e6 / float(np.median(values))}
         if name != "ours":
-            report[name]["ratio"] = spread(values / us["ours"])
+            report[name]["ratio"] = spread(values / us_by_backend["ours"])
     return report
 
 
@@ -82,16 +82,16 @@ def in_full(network: Network) -> Network:
 
 
 def _through(processor: Processor, packets: list[list[np.ndarray]]) -> Callable[[], float]:
-    """A function that pushes one recording through the processor, at each call the next one."""
+    """A function that pushes a recording through the processor, and at each call the next one."""
     rounds = count()
 
     def run() -> float:
         """Microseconds of a decision."""
-        of_this_round = packets[next(rounds) % len(packets)]
+        recording_packets = packets[next(rounds) % len(packets)]
         processor.reset()
         n = 0
         started = work_clock()
-        for packet in of_this_round:
+        for packet in recording_packets:
             n += len(processor.push(packet))
         n += len(processor.finish())
         return 1e6 * (work_clock() - started) / n
@@ -99,11 +99,14 @@ def _through(processor: Processor, packets: list[list[np.ndarray]]) -> Callable[
     return run
 
 
-def _check_same(found: dict[str, list[Decision]]) -> None:
+def _check_same(decisions_by_backend: dict[str, list[Decision]]) -> None:
     """Check that all backends make the same decisions."""
-    n_decisions = {name: len(decisions) for name, decisions in found.items()}
+    n_decisions = {name: len(decisions) for name, decisions in decisions_by_backend.items()}
     if len(set(n_decisions.values())) > 1:
         raise WorkDiffers(f"all must make the same number of decisions, got {n_decisions}")
-    for k, ours in enumerate(found["ours"]):
-        logits = {name: decisions[k].logits for name, decisions in found.items()}
-        check_logits(logits, f"event {ours.events} of the window at {ours.window_start_us} us")
+    for k, our_decision in enumerate(decisions_by_backend["ours"]):
+        logits = {name: decisions[k].logits for name, decisions in decisions_by_backend.items()}
+        check_logits(
+            logits,
+            f"event {our_decision.events} of the window at {our_decision.window_start_us} us",
+        )

@@ -2,8 +2,8 @@
 
 Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each
 network finds its weights in a slower cache than in a loop of its own. In blocks, each network has
-the caches to itself; a real program does other work in between. So both ways are measured. Compare
-numbers of the same way only.
+the caches to itself, but a real program does other work between decisions. So both ways are
+measured. Compare only numbers of the same way.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Backend(Protocol):
     def prepare(self, moment: Moment) -> None:
         """Prepare the decision at a moment. This is not timed.
 
-        The previous call was for the moment of the previous decision, or for `moment.before`,
-        unless `moment` has no new events.
+        If `moment` has new events, the previous call was for the moment of the previous decision or
+        for `moment.before`.
         """
 
     def decide(self) -> np.ndarray | None:
@@ -111,10 +111,10 @@ def timed(
 
     In blocks, every backend decides at all moments of a block before the next backend does, in
     an order that alternates. Call by call, every backend decides at a moment, then at the next
-    moment, in a new random order each time (fixed seed).
+    moment. The order of the backends is random, with a fixed seed, and new at each moment.
     """
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
-    worst = 0.0
+    largest_difference = 0.0
     rng = np.random.default_rng(0)
     names = list(backends)
     with no_collector():
@@ -125,22 +125,26 @@ def timed(
             else:
                 turns = [(k, [name]) for name in names for k in range(len(block))]
                 names.reverse()
-            for taken in us.values():
-                taken.append([])
-            found: list[dict[str, np.ndarray]] = [{} for _ in block]
-            for k, some in turns:
-                for name in some:
+            for blocks_us in us.values():
+                blocks_us.append([])
+            logits_at: list[dict[str, np.ndarray]] = [{} for _ in block]
+            for k, deciding in turns:
+                for name in deciding:
                     _catch_up(backends[name], block[k])
-                for name in some:
+                for name in deciding:
                     taken_us, logits = _time(backends[name], block[k])
                     us[name][-1].append(taken_us)
                     if logits is not None:
-                        found[k][name] = logits
+                        logits_at[k][name] = logits
             for k, moment in enumerate(block):
-                in_order = {name: found[k][name] for name in backends if name in found[k]}
+                in_order = {name: logits_at[k][name] for name in backends if name in logits_at[k]}
                 where = f"event {len(moment.events)} of the window at {moment.start_us} us"
-                worst = max(worst, check_logits(in_order, where))
-    return Timed({name: np.array(taken) for name, taken in us.items()}, call_by_call, worst)
+                largest_difference = max(largest_difference, check_logits(in_order, where))
+    return Timed(
+        {name: np.array(blocks_us) for name, blocks_us in us.items()},
+        call_by_call,
+        largest_difference,
+    )
 
 
 def _catch_up(backend: Backend, moment: Moment) -> None:
@@ -159,7 +163,7 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
     return taken_us, None if logits is None else logits.copy()
 
 
-def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
+def check_logits(logits_by_backend: Mapping[str, np.ndarray], where: str) -> float:
     """The largest difference between logits of one moment.
 
     If the largest logit is above 1, the difference is divided by it.
@@ -170,16 +174,18 @@ def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
     ------
     WorkDiffers : the difference is more than LOGIT_TOLERANCE.
     """
-    if len(found) < 2:
+    if len(logits_by_backend) < 2:
         return 0.0
-    (first, expected), *others = found.items()
+    (first, expected), *other_logits = logits_by_backend.items()
     scale = max(1.0, float(np.abs(expected).max()))
-    differences = {name: float(np.abs(logits - expected).max()) / scale for name, logits in others}
-    name, worst = max(differences.items(), key=lambda item: item[1])
-    # `not <=` is also true of nan
-    if not worst <= LOGIT_TOLERANCE:
+    differences = {
+        name: float(np.abs(logits - expected).max()) / scale for name, logits in other_logits
+    }
+    name, largest_difference = max(differences.items(), key=lambda item: item[1])
+    # `not <=` is also true for nan
+    if not largest_difference <= LOGIT_TOLERANCE:
         raise WorkDiffers(
             f"all must give the same logits within {LOGIT_TOLERANCE}, "
-            f"got {first} and {name} {worst:.1e} apart at {where}"
+            f"got {first} and {name} {largest_difference:.1e} apart at {where}"
         )
-    return worst
+    return largest_difference

@@ -1,4 +1,4 @@
-"""Moments at which backends decide, a fixed number of events apart. All backends get the same."""
+"""Moments at which backends decide, a fixed number of events apart, the same for all backends."""
 
 from __future__ import annotations
 
@@ -75,15 +75,20 @@ class Moments:
     def __getitem__(self, i: int) -> Moment:
         """The moment number `i` of the endless stream."""
         lap, i = divmod(i, self.a_lap)
-        which = int(np.searchsorted(self._ends, i, side="right"))
-        k = i - (int(self._ends[which - 1]) if which else 0)
-        number = lap * len(self._windows) + which
-        start_us = number * self._window_us
-        if self._shifted[0] != number:
-            events = self._windows[which].copy()
+        window_index = int(np.searchsorted(self._ends, i, side="right"))
+        moment_in_window = i - (int(self._ends[window_index - 1]) if window_index else 0)
+        n_windows_before = lap * len(self._windows) + window_index
+        start_us = n_windows_before * self._window_us
+        if self._shifted[0] != n_windows_before:
+            events = self._windows[window_index].copy()
             events["t"] += start_us
-            self._shifted = number, events
-        return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
+            self._shifted = n_windows_before, events
+        return Moment(
+            start_us,
+            self._shifted[1][: 1 + (moment_in_window + 1) * self._n_new],
+            self._n_new,
+            moment_in_window > 0,
+        )
 
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
         """`n_blocks` runs of `size` consecutive moments.
@@ -101,9 +106,9 @@ def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
 
     Times are counted from each window's start.
     """
-    number = events["t"] // window_us
-    edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1:] + 1))
-    windows = [events[a:b].astype(EVENT_DTYPE) for a, b in pairwise(edges)]
+    window_numbers = events["t"] // window_us
+    edges = np.flatnonzero(np.diff(window_numbers, prepend=-1, append=window_numbers[-1:] + 1))
+    windows = [events[first:end].astype(EVENT_DTYPE) for first, end in pairwise(edges)]
     for window in windows:
         window["t"] %= window_us
     return windows
@@ -111,8 +116,8 @@ def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
 
 def bench_recordings(config: TNTConfig) -> list[np.ndarray]:
     """Recordings to decide on: three windows of each bundled sample."""
-    read = [open_recording(path).read() for path in sample_recordings().values()]
-    return [events[events["t"] < 3 * config.window_us] for events in read]
+    recordings = [open_recording(path).read() for path in sample_recordings().values()]
+    return [events[events["t"] < 3 * config.window_us] for events in recordings]
 
 
 def made_columns(

@@ -91,10 +91,10 @@ def bench_network(
     def backends(one_feed: bool) -> dict[str, Backend]:
         # Call by call, all networks are at the same moment, so one volume is enough.
         feed = Feed(model)
-        made: dict[str, Backend] = {"incremental": Incremental(model, feed)}
+        new_backends: dict[str, Backend] = {"incremental": Incremental(model, feed)}
         for name, network in networks.items():
-            made[name] = Dense(network, feed if one_feed else Feed(model))
-        return made
+            new_backends[name] = Dense(network, feed if one_feed else Feed(model))
+        return new_backends
 
     return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)
 

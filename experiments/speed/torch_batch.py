@@ -72,19 +72,19 @@ class TorchBatch:
         config = self.config
         tau = dt * (config.t_max / config.window_us)
         n = torch.arange(1, len(dt) + 1, dtype=torch.float32)
-        moved = []
+        coordinates = []
         keep = tau > 0
-        for side, z in enumerate((x * self._on_grid[0], y * self._on_grid[1])):
-            centroid = z.cumsum(0, dtype=torch.float64).div_(n).float()
-            place = (z - centroid) / tau + self._centre[side]
+        for side, positions in enumerate((x * self._on_grid[0], y * self._on_grid[1])):
+            centroid = positions.cumsum(0, dtype=torch.float64).div_(n).float()
+            place = (positions - centroid) / tau + self._centre[side]
             clamped = place.clamp(0, config.grid[side] - 1)
             # a place is nan where it is 0 / 0; the comparison is then False
             keep &= (place - clamped).abs_() <= BORDER_TOLERANCE
-            moved.append(clamped)
+            coordinates.append(clamped)
         # indices, computed once, are four times faster than four masks
-        some = keep.nonzero()[:, 0]
-        b = dt[some] * ((config.bins - 1) / config.window_us)
-        return self._splat(b, moved[1][some], moved[0][some], sign[some])
+        kept = keep.nonzero()[:, 0]
+        b = dt[kept] * ((config.bins - 1) / config.window_us)
+        return self._splat(b, coordinates[1][kept], coordinates[0][kept], sign[kept])
 
     def _splat(
         self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor

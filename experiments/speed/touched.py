@@ -36,7 +36,8 @@ def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> d
         for block in blocks:
             counts += _count(model, block)
         result[str(n_new)] = {
-            name: float(np.mean([found[name] for found in counts])) for name in counts[0]
+            name: float(np.mean([moment_counts[name] for moment_counts in counts]))
+            for name in counts[0]
         }
     return result
 

@@ -27,12 +27,14 @@ def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
     """The steps of a network, each with the number of places that the last call computed."""
     program = network.network.program
     weights = network.network.weights
-    found = []
+    steps_and_places = []
     for k, layer in enumerate(network.steps):
         record = program[P.FIRST_STEP + k * P.STEP_SIZE :][: P.STEP_SIZE].tolist()
         places = record[P.ROWS] * record[P.COLUMNS]
-        found.append((StepWork(layer, places, _products(record, weights)), record[P.N_COMPUTED]))
-    return found
+        steps_and_places.append(
+            (StepWork(layer, places, _products(record, weights)), record[P.N_COMPUTED])
+        )
+    return steps_and_places
 
 
 def _products(record: list[int], weights: np.ndarray) -> int:

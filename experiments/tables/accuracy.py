@@ -25,17 +25,17 @@ HARDLY = 0.03
 
 def accuracy() -> str:
     """A short table of `digits`: how often it is right, and how soon."""
-    found = results("early")
+    report = results("early")
     rows = []
-    for row in found["accuracy_against_time"]:
+    for row in report["accuracy_against_time"]:
         if row["time_us"] in SHORT_US:
-            words = f"a window, after {row['time_us'] / 1000:g} ms"
-            rows.append([words, "", percent(row["accuracy"])])
-    for row in found["confidence"]:
+            decided = f"a window, after {row['time_us'] / 1000:g} ms"
+            rows.append([decided, "", percent(row["accuracy"])])
+    for row in report["confidence"]:
         if row["level"] >= LEAST_CONFIDENCE:
-            words = f"a window, once a class has {row['level']:g}"
-            rows.append([words, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
-    rows.append(["a recording, by the mean of its windows", "", percent(found["accuracy"])])
+            decided = f"a window, once a class has {row['level']:g}"
+            rows.append([decided, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
+    rows.append(["a recording, by the mean of its windows", "", percent(report["accuracy"])])
     return table(["decided", "median time", "right"], rows)
 
 
@@ -43,10 +43,10 @@ def digits_against_time() -> str:
     """A table of the share of test windows that `digits` has right, by the time shown of them."""
     times = list(_record()["test"]["against_time_ms"])
     rows = []
-    for part, words in WINDOWS.items():
-        found = _record()[part]
-        shares = [found["against_time_ms"][ms] for ms in times]
-        rows.append([words, *map(percent, (*shares, found["per_recording"]))])
+    for part, title in WINDOWS.items():
+        test = _record()[part]
+        shares = [test["against_time_ms"][ms] for ms in times]
+        rows.append([title, *map(percent, (*shares, test["per_recording"]))])
     return table(["windows", *(f"{ms} ms" for ms in times), "recordings"], rows)
 
 
@@ -62,7 +62,7 @@ def digits_tried() -> str:
     """A table of the settings that were compared before `digits` was trained."""
     rows = []
     for run in _record()["tried"]:
-        found = run["validation"]
+        validation = run["validation"]
         landmark = run["landmark"] or "none (untransformed volume)"
         if run["remove_flow"]:
             landmark += ", flow removed"
@@ -75,8 +75,8 @@ def digits_tried() -> str:
                 f"{run['simulated_recordings']:,}",
                 "yes" if run["augmentation"] else "no",
                 str(run["seed"]),
-                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
-                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "50")),
+                *(f"{100 * validation[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * validation['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "50")),
             ]
         )
     head = [
@@ -96,7 +96,7 @@ def digits_tried_motions() -> str:
     """A table of the trainings with motion re-synthesis, and of the model bundled before them."""
     rows = []
     for number, run in enumerate(_record()["tried_with_motions"]):
-        found = run["validation"]
+        validation = run["validation"]
         start = run["started_from"]
         rows.append(
             [
@@ -108,8 +108,8 @@ def digits_tried_motions() -> str:
                 f"{100 * run['partial']:g} %",
                 f"{100 * run['nothing']:g} %",
                 str(run["epochs"]),
-                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
-                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "40")),
+                *(f"{100 * validation[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * validation['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "40")),
                 f"{100 * run['validation_motions']:.1f}",
             ]
         )
@@ -128,15 +128,15 @@ def digits_tried_motions() -> str:
 
 
 @of_report("edges")
-def edges(found: dict[str, Any]) -> str:
+def edges(report: dict[str, Any]) -> str:
     """A table of the number of events, by the angle between gradient and motion."""
-    angles = found["angles_deg"]
+    angles = report["angles_deg"]
     rows = [
         [
             f"{low}-{high}°",
-            f"{found['events_per_gradient'][k] / found['events_per_gradient'][0]:.2f}",
-            f"{found['cosine'][k] / found['cosine'][0]:.2f}",
-            f"{100 * found['polarity_as_expected'][k]:.0f} %",
+            f"{report['events_per_gradient'][k] / report['events_per_gradient'][0]:.2f}",
+            f"{report['cosine'][k] / report['cosine'][0]:.2f}",
+            f"{100 * report['polarity_as_expected'][k]:.0f} %",
         ]
         for k, (low, high) in enumerate(pairwise(angles))
     ]
@@ -146,10 +146,10 @@ def edges(found: dict[str, Any]) -> str:
 
 
 @of_report("edges")
-def polarity(found: dict[str, Any]) -> str:
+def polarity(report: dict[str, Any]) -> str:
     """A table of the correlations between the images of two saccades, signed and unsigned."""
     rows = []
-    for pair, row in found["between_saccades"].items():
+    for pair, row in report["between_saccades"].items():
         correlations = [row[name] for name in ("signed", "expected", "unsigned")]
         cells = [f"{value:+.2f}".replace("0.", ".", 1) for value in correlations]
         rows.append([pair.replace("-", " and "), f"{row['angle_deg']:.0f}°", *cells])
@@ -174,15 +174,16 @@ def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
     return closed
 
 
-def _unseen(found: dict[str, Any]) -> str:
+def _unseen(report: dict[str, Any]) -> str:
     """A table of accuracies, with a row for each way to train and a column for each test.
 
     Cells have the mean over the seeds, and the range if there are several seeds.
     """
-    accuracy = found["accuracy"]
+    accuracy = report["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [
-        [mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()
+        [mode, *(with_range(results_by_test[test]["seeds"]) for test in tests)]
+        for mode, results_by_test in accuracy.items()
     ]
     closed = share_closed(accuracy)
     if closed:
@@ -202,10 +203,10 @@ unseen_whole = of_report("unseen_whole")(_unseen)
 
 
 @of_report("found_paths")
-def found_paths(found: dict[str, Any]) -> str:
+def found_paths(report: dict[str, Any]) -> str:
     """A table of the shares of windows in which a path is found, and in which it is right."""
     rows = []
-    for name, row in found["rows"].items():
+    for name, row in report["rows"].items():
         shares = (
             percent(row[key]) if row.get(key) is not None else ""
             for key in ("found", "right", "opposite")
@@ -220,10 +221,10 @@ def _record() -> dict[str, Any]:
 
 
 @of_report("nothing")
-def nothing(found: dict[str, Any]) -> str:
+def nothing(report: dict[str, Any]) -> str:
     """A table of how often windows are decided that show none of the classes."""
     rows = []
-    for name, row in found["rows"].items():
+    for name, row in report["rows"].items():
         # some sets were measured by a version that did not report moments
         moments = row.get("at_some_moment", {})
         shares = (percent(moments[level]) if level in moments else "-" for level in ("0.9", "0.99"))
@@ -231,7 +232,7 @@ def nothing(found: dict[str, Any]) -> str:
     head = [
         "in the window",
         "windows",
-        f"decided by {found['model']}",
+        f"decided by {report['model']}",
         "at some moment",
         ".99 at some moment",
     ]
@@ -240,12 +241,12 @@ def nothing(found: dict[str, Any]) -> str:
 
 def early() -> str:
     """A table of early decisions, by time and by confidence."""
-    found = results("early")
+    report = results("early")
     rows = [
         [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]
-        for row in found["accuracy_against_time"]
+        for row in report["accuracy_against_time"]
     ]
-    for row in found["confidence"]:
+    for row in report["confidence"]:
         shares = (percent(row[name]) for name in ("window_accuracy", "decided", "accuracy"))
         rows.append(
             [

@@ -36,16 +36,16 @@ def cars(report: dict[str, Any]) -> str:
     """
     shown = report["shown_ms"]
     rows = []
-    for name, found in report["recipes"].items():
+    for name, recipe in report["recipes"].items():
         if name.startswith("equal_"):
             continue
-        courses = [test["against_time_ms"] for test in found["tests"]]
-        shares = [[course[ms] for course in courses] for ms in shown]
+        curves = [test["against_time_ms"] for test in recipe["tests"]]
+        shares = [[curve[ms] for curve in curves] for ms in shown]
         cells = [cell(summary(values)) for values in shares]
-        options = found["command"].partition("--sensor 120x100")[2].strip()
-        rate = found["every_event"]["a_second"]
+        options = recipe["command"].partition("--sensor 120x100")[2].strip()
+        rate = recipe["every_event"]["a_second"]
         rows.append(
-            [f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"]
+            [f"`{options}`" if options else "none", str(len(curves)), *cells, f"{rate:,.0f}"]
         )
     by_size = ["-"] * (len(shown) - 1) + [three_digits(report["by_crop_size"])]
     rows.append(["none: width and height of the crop alone", "-", *by_size, "-"])
@@ -88,10 +88,10 @@ def cars_confidence(report: dict[str, Any]) -> str:
 
 def cars_in_short() -> str:
     """README's table of N-CARS: accuracies of the recipe `tuned`, and its decisions a second."""
-    found = results("cars")["recipes"]["tuned"]
-    tests = found["tests"]
+    recipe = results("cars")["recipes"]["tuned"]
+    tests = recipe["tests"]
     shares = [_mean([test["against_time_ms"][ms] for test in tests]) for ms in SHORT_MS]
-    rate = f"{found['every_event']['a_second']:,.0f}"
+    rate = f"{recipe['every_event']['a_second']:,.0f}"
     head = [f"right after {ms} ms" for ms in SHORT_MS]
     sentence = (
         "On N-CARS' official test part, cars or background: networks on images of counts, without "
@@ -117,12 +117,12 @@ def representations() -> str:
     measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]
     for name, (title, row) in REPRESENTATIONS.items():
         cells = [cell(nmnist.get(row, {}).get(column)) for column in ("all/all", "1/all", "1/sim")]
-        found = recipes.get(f"equal_{name}")
-        if found is None:
+        recipe = recipes.get(f"equal_{name}")
+        if recipe is None:
             rows.append([title, *cells, *["-"] * (len(EQUAL_MS) + 2)])
             continue
-        shares = [[test["against_time_ms"][ms] for test in found["tests"]] for ms in EQUAL_MS]
-        costs = [short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])]
+        shares = [[test["against_time_ms"][ms] for test in recipe["tests"]] for ms in EQUAL_MS]
+        costs = [short(recipe["event_ns"]["median"]), short(recipe["every_event"]["us"]["median"])]
         rows.append([title, *cells, *(cell(summary(values)) for values in shares), *costs])
     times = [f"{ms} ms" for ms in EQUAL_MS]
     head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
@@ -133,8 +133,8 @@ def representations() -> str:
 def bare(report: dict[str, Any]) -> str:
     """A table of the accuracy of `train` without options: means and standard deviations."""
     rows = []
-    for found in report["sets"].values():
-        rows.append([found["title"], *_tested(found)])
+    for entry in report["sets"].values():
+        rows.append([entry["title"], *_tested(entry)])
     return table(["data set", "networks", "windows", "recordings"], rows)
 
 
@@ -142,10 +142,10 @@ def bare(report: dict[str, Any]) -> str:
 def from_pictures(report: dict[str, Any]) -> str:
     """A table of the accuracy of `train` on pictures alone: means and standard deviations."""
     rows = []
-    for found in report["sets"].values():
-        options = found["command"].partition("PICTURES ")[2]
+    for entry in report["sets"].values():
+        options = entry["command"].partition("PICTURES ")[2]
         rows.append(
-            [found["title"], f"`{options}`", f"{found['pictures']['pictures']:,}", *_tested(found)]
+            [entry["title"], f"`{options}`", f"{entry['pictures']['pictures']:,}", *_tested(entry)]
         )
     return table(
         ["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows
@@ -158,23 +158,23 @@ def few_recordings(report: dict[str, Any]) -> str:
 
     It has a row for each number of real recordings of a class.
     """
-    found: dict[int, dict[str, str]] = {}
+    texts_by_number: dict[int, dict[str, str]] = {}
     for way, networks_by_number in report["ways"].items():
         for row in networks_by_number:
             windows = [network["window_accuracy"] for network in row["networks"]]
             recordings = [network["accuracy"] for network in row["networks"]]
             text = f"{cell(summary(windows))} / {cell(summary(recordings))}"
-            found.setdefault(row["per_class"], {})[way] = text
+            texts_by_number.setdefault(row["per_class"], {})[way] = text
     ways = list(report["ways"])
     rows = []
-    for n, texts in found.items():
+    for n, texts in texts_by_number.items():
         rows.append([f"{n:,}", *(texts.get(way, "-") for way in ways)])
     return table(["recordings of each class", *ways], rows)
 
 
-def _tested(found: dict[str, Any]) -> list[str]:
+def _tested(entry: dict[str, Any]) -> list[str]:
     """Three cells: the number of networks, the windows right, and the recordings right."""
-    networks = found["networks"]
+    networks = entry["networks"]
     shares = (
         cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy")
     )
@@ -213,13 +213,15 @@ def recipes(report: dict[str, Any]) -> str:
     It has the share of held-out windows right, at their ends and as a mean over ten moments.
     """
     sets = report["sets"]
-    candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
+    candidates = list(
+        dict.fromkeys(name for rows_by_candidate in sets.values() for name in rows_by_candidate)
+    )
     rows = []
     for name in candidates:
         cells = []
-        for found in sets.values():
+        for rows_by_candidate in sets.values():
             means = (
-                [row[key] for row in found.get(name, [])]
+                [row[key] for row in rows_by_candidate.get(name, [])]
                 for key in ("per_window", "mean_over_time")
             )
             cells.append(" / ".join(_mean(values) if values else "-" for values in means))
@@ -228,8 +230,8 @@ def recipes(report: dict[str, Any]) -> str:
 
 
 def everywhere() -> str:
-    """A table of F1 in scenes of real recordings: of the bundled map model, then of all models."""
-    found = results("everywhere")["models"]
+    """A table of F1 in scenes of real recordings, for the bundled map model and for all models."""
+    models = results("everywhere")["models"]
     kinds = {
         "three": "three on 128x96, 30 pixels and more apart",
         "close": "the same, 16 pixels and more apart",
@@ -237,21 +239,21 @@ def everywhere() -> str:
         "eight": "eight on 640x480",
     }
     rows = []
-    for kind, words in kinds.items():
-        row = [words]
+    for kind, title in kinds.items():
+        row = [title]
         for moment in ("end", "early"):
-            f1 = [model[kind][moment] for model in found]
+            f1 = [model[kind][moment] for model in models]
             row += [three_digits(f1[0]), with_range(f1)]
         rows.append(row)
-    every = f"{len(found)} networks"
+    every = f"{len(models)} networks"
     return table(["digits", "F1 at the end", every, "30 ms after the last start", every], rows)
 
 
 def car_scenes() -> str:
     """A table of F1 of a map model of N-CARS, in scenes of its test part."""
-    (found,) = results("car_scenes")["models"]
-    row = [f"{found['cars'][moment]:.3f}" for moment in ("end", "early")] + [
-        f"{found['noise']:.2f}"
+    (model,) = results("car_scenes")["models"]
+    row = [f"{model['cars'][moment]:.3f}" for moment in ("end", "early")] + [
+        f"{model['noise']:.2f}"
     ]
     return table(
         ["F1 of cars at the end", "30 ms after the last start", "objects in noise, a window"], [row]

@@ -34,24 +34,33 @@ incremental_machine = of_report("incremental")(about_machine)
 
 def speed() -> str:
     """README's table of speed."""
-    found = results("decisions")
+    report = results("decisions")
     names = {
         "incremental": "async_tnt",
         "onnxruntime_binding": "onnxruntime",
         "openvino": "OpenVINO",
         "torch": "torch",
     }
-    same = {"incremental": "ours", "onnxruntime_binding": "ours_onnxruntime", "torch": "torch"}
+    row_of_network = {
+        "incremental": "ours",
+        "onnxruntime_binding": "ours_onnxruntime",
+        "torch": "torch",
+    }
     rows = []
     for n in ("1", "100", "1300"):
-        us = found["network"][n]["in_blocks"]["us"]
+        us = report["network"][n]["in_blocks"]["us"]
         events = f"{int(n):,} new event{'s' * (n != '1')}"
         rows.append([f"network, {events}: us", *(short(us[name]["median"]) for name in names)])
-    us = found["end_to_end"]["1"]["in_blocks"]["us"]
-    cells = (short(us[same[name]]["median"]) if name in same else "" for name in names)
+    us = report["end_to_end"]["1"]["in_blocks"]["us"]
+    cells = (
+        short(us[row_of_network[name]]["median"]) if name in row_of_network else ""
+        for name in names
+    )
     rows.append(["packet of 1 event to decision: us", *cells])
-    packets = found["every_event"]
-    rates = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
+    every_event_rows = report["every_event"]
+    rates = [
+        every_event_rows["ours" if name == "incremental" else name]["a_second"] for name in names
+    ]
     rows.append(
         ["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in rates)]
     )
@@ -74,38 +83,38 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
     return table(head, body)
 
 
-def _cell(found: dict[str, Any], name: str) -> str:
-    """A cell with median, 99th percentile, and ratio to the first network. It may be empty.
+def _cell(times: dict[str, Any], name: str) -> str:
+    """A cell with median, 99th percentile, and ratio to the first network.
 
-    It is empty if `name` was not timed.
+    The cell is empty if `name` was not timed.
     """
-    us = found["us"].get(name)
+    us = times["us"].get(name)
     if us is None:
         return ""
     text = f"{short(us['median'])} ({short(us['p99'])})"
-    ratio = found["ratio"].get(name)
+    ratio = times["ratio"].get(name)
     return f"{text} {ratio['median']:.1f}x" if ratio else text
 
 
 network_in_blocks = of_report("decisions")(
-    lambda found: _turns(found["network"], "in_blocks", NETWORKS)
+    lambda report: _turns(report["network"], "in_blocks", NETWORKS)
 )
 network_call_by_call = of_report("decisions")(
-    lambda found: _turns(found["network"], "call_by_call", NETWORKS)
+    lambda report: _turns(report["network"], "call_by_call", NETWORKS)
 )
 end_to_end_call_by_call = of_report("decisions")(
-    lambda found: _turns(found["end_to_end"], "call_by_call", WAYS)
+    lambda report: _turns(report["end_to_end"], "call_by_call", WAYS)
 )
 
 
 @of_report("decisions")
-def end_to_end_in_blocks(found: dict[str, Any]) -> str:
+def end_to_end_in_blocks(report: dict[str, Any]) -> str:
     """A table of the times from a packet to the decision, in blocks."""
-    return _turns(found["end_to_end"], "in_blocks", WAYS)
+    return _turns(report["end_to_end"], "in_blocks", WAYS)
 
 
 @of_report("decisions")
-def every_event(found: dict[str, Any]) -> str:
+def every_event(report: dict[str, Any]) -> str:
     """A table of decisions a second, with a decision after every event."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
     body = [
@@ -115,13 +124,13 @@ def every_event(found: dict[str, Any]) -> str:
             short(row["us"]["median"]),
             f"{row['ratio']['median']:.1f}" if "ratio" in row else "",
         ]
-        for name, row in found["every_event"].items()
+        for name, row in report["every_event"].items()
     ]
     return table(["", "decisions a second", "us each", "ratio"], body)
 
 
 @of_report("starts")
-def starts(found: dict[str, Any]) -> str:
+def starts(report: dict[str, Any]) -> str:
     """A table of the seconds to a first decision, by step."""
     names = {
         "ours_cold": "async_tnt, nothing compiled yet",
@@ -138,7 +147,7 @@ def starts(found: dict[str, Any]) -> str:
     }
     body = [
         [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
-        for name, row in found["starts"].items()
+        for name, row in report["starts"].items()
     ]
     return table(["seconds", *steps.values()], body)
 
@@ -149,9 +158,9 @@ def incremental_times(report: dict[str, Any]) -> str:
     body = []
     for network, row in report["networks"].items():
         volume = " x ".join(map(str, row["volume"]))
-        for n_new, found in row["network"].items():
-            us = found["in_blocks"]["us"]
-            cells = [_cell(found["in_blocks"], name) for name in NETWORKS if name in us]
+        for n_new, times in row["network"].items():
+            us = times["in_blocks"]["us"]
+            cells = [_cell(times["in_blocks"], name) for name in NETWORKS if name in us]
             body.append(
                 [f"`{network}`, {volume}" if n_new == "1" else "", f"{int(n_new):,}", *cells]
             )
@@ -171,10 +180,12 @@ def incremental_work(report: dict[str, Any]) -> str:
         n_bytes_maps = sum(n_bytes[part] for part in MAPS)
         memory = [f"{n / 1e3:,.0f}" for n in (n_bytes["weights"], n_bytes_maps)]
         rates = row["every_event"]
-        onnx = max((rates[name]["a_second"] for name in rates if name != "ours"), default=None)
-        others = "" if onnx is None else f"{onnx:,.0f}"
-        second = [f"{rates['ours']['a_second']:,.0f}", others]
-        body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *second])
+        fastest_onnx = max(
+            (rates[name]["a_second"] for name in rates if name != "ours"), default=None
+        )
+        others = "" if fastest_onnx is None else f"{fastest_onnx:,.0f}"
+        rates_cells = [f"{rates['ours']['a_second']:,.0f}", others]
+        body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *rates_cells])
     head = [
         "million multiplications",
         "1 new event",

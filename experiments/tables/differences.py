@@ -1,7 +1,7 @@
 """The differences between rows of the thesis' experiment, and which of them hold.
 
 A difference holds if it is significant at .05 by Holm's method among all differences of its
-question. No table picks its differences: it has all that hold, gains and losses.
+question. No table picks its differences: a table has all differences that hold, gains and losses.
 """
 
 from __future__ import annotations
@@ -38,48 +38,63 @@ def thesis_sets() -> str:
         for difference in _differences()
         if holds(difference)
     }
-    shown = [(on, row) for on in ("all", "1") for row in (BASELINE, *TRANSFORMED)]
+    shown_columns = [
+        (trained_on, row) for trained_on in ("all", "1") for row in (BASELINE, *TRANSFORMED)
+    ]
 
     body = []
-    for name, (kind, dark) in SETS.items():
+    for name, (kind, is_dark) in SETS.items():
         cells = []
-        for on, row in shown:
-            column = f"{on}/{name}"
+        for trained_on, row in shown_columns:
+            column = f"{trained_on}/{name}"
             text = cell(accuracies.get(row, {}).get(column))
             cells.append(f"**{text}**" if (row, column) in held else text)
-        colours = "dark on bright" if dark else "bright on dark"
+        colours = "dark on bright" if is_dark else "bright on dark"
         body.append([f"{name}: {kind}, {colours}", *cells])
-    return table(["tested on", *(f"{on}: {ROWS[row].title}" for on, row in shown)], body)
+    return table(
+        ["tested on", *(f"{trained_on}: {ROWS[row].title}" for trained_on, row in shown_columns)],
+        body,
+    )
 
 
 def effects() -> str:
-    """A table of the effects of factors on the gain over the Baseline. Those that hold are bold."""
+    """A table of the effects of factors on the gain over the Baseline.
+
+    Effects that hold are bold.
+    """
     by_name: dict[str, dict[tuple[str, str], Difference]] = {}
-    for found in results("table")["effects"]:
-        by_name.setdefault(found["effect"], {})[found["trained_on"], found["row"]] = found
-    columns = list(dict.fromkeys(column for found in by_name.values() for column in found))
+    for effect in results("table")["effects"]:
+        by_name.setdefault(effect["effect"], {})[effect["trained_on"], effect["row"]] = effect
+    columns = list(dict.fromkeys(column for effect in by_name.values() for column in effect))
     body = []
-    for name, of_column in by_name.items():
-        body.append([name, *(_with_interval(of_column[column]) for column in columns)])
-    head = ["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)]
+    for name, effect_by_column in by_name.items():
+        body.append([name, *(_with_interval(effect_by_column[column]) for column in columns)])
+    head = [
+        "gain over the Baseline",
+        *(f"{trained_on}: {ROWS[row].title}" for trained_on, row in columns),
+    ]
     return table(head, body)
 
 
 def differences() -> str:
-    """A table of the differences of every pair of every question. Those that hold are bold."""
-    found = {
+    """A table of the differences of all pairs of all questions. Differences that hold are bold."""
+    difference_by_pair = {
         (difference["row"], difference["against"], difference["column"]): difference
         for difference in _differences()
     }
     body = []
     for question, pairs in QUESTIONS.items():
-        known = [pair for pair in pairs if any((*pair, column) in found for column in DIFFERENCES)]
-        if known:
+        measured_pairs = [
+            pair
+            for pair in pairs
+            if any((*pair, column) in difference_by_pair for column in DIFFERENCES)
+        ]
+        if measured_pairs:
             body.append([f"*{question}*", *[""] * len(DIFFERENCES)])
-        for row, against in known:
+        for row, against in measured_pairs:
             cells = []
             for column in DIFFERENCES:
-                difference = found.get((row, against, column))
+                difference = difference_by_pair.get((row, against, column))
                 cells.append("-" if difference is None else _with_interval(difference))
             body.append([_pair(row, against), *cells])
     return table(["difference", *DIFFERENCES], body)
@@ -95,11 +110,13 @@ def answer(question: str, measured: Sequence[Difference]) -> str:
 
     The table has a row for each pair and what it was trained on, and a column for each test.
     """
-    asked = [difference for difference in measured if difference["question"] == question]
-    if not asked:
+    question_differences = [
+        difference for difference in measured if difference["question"] == question
+    ]
+    if not question_differences:
         return f"{question}: not measured yet."
-    held = [difference for difference in asked if holds(difference)]
-    sentence = f"{question}: {len(held)} of {len(asked)} differences hold."
+    held = [difference for difference in question_differences if holds(difference)]
+    sentence = f"{question}: {len(held)} of {len(question_differences)} differences hold."
     if not held:
         return sentence
 
@@ -107,40 +124,48 @@ def answer(question: str, measured: Sequence[Difference]) -> str:
     means: dict[tuple[str, str, str], dict[str, str]] = {}
     for difference in held:
         trained_on = difference["column"].partition("/")[0]
-        of_row = means.setdefault((difference["row"], difference["against"], trained_on), {})
-        of_row[_test(difference["column"])] = signed(difference["mean"])
+        row_means = means.setdefault((difference["row"], difference["against"], trained_on), {})
+        row_means[_test(difference["column"])] = signed(difference["mean"])
     body = [
-        [_pair(row, against), trained_on, *(of_row.get(test, "") for test in tests)]
-        for (row, against, trained_on), of_row in means.items()
+        [_pair(row, against), trained_on, *(row_means.get(test, "") for test in tests)]
+        for (row, against, trained_on), row_means in means.items()
     ]
     return f"{sentence}\n\n{table(['difference', 'trained on', *tests], body)}"
 
 
 def thesis_answers() -> str:
     """A table of all differences to the thesis' Baseline on simulated sets that hold."""
-    asked = [
+    to_baseline = [
         difference
         for difference in _differences()
         if difference["against"] == BASELINE and _test(difference["column"]) in SETS
     ]
     means = {
         (difference["row"], difference["column"]): signed(difference["mean"])
-        for difference in asked
+        for difference in to_baseline
         if holds(difference)
     }
-    shown = {"all": "all saccades", "1": "the first saccade"}
+    titles_of_training = {"all": "all saccades", "1": "the first saccade"}
 
     body = []
     for name in SETS:
-        cells = [means.get((row, f"{on}/{name}"), "") for on in shown for row in TRANSFORMED]
+        cells = [
+            means.get((row, f"{trained_on}/{name}"), "")
+            for trained_on in titles_of_training
+            for row in TRANSFORMED
+        ]
         if any(cells):
             body.append([name, *cells])
-    titles = [f"{ROWS[row].title}, {words}" for words in shown.values() for row in TRANSFORMED]
+    column_titles = [
+        f"{ROWS[row].title}, {training_title}"
+        for training_title in titles_of_training.values()
+        for row in TRANSFORMED
+    ]
     sentence = (
-        f"Of {len(asked)} differences to the Baseline on simulated sets these hold. Columns: the "
-        "row and what it was trained on."
+        f"Of {len(to_baseline)} differences to the Baseline on simulated sets these hold. Columns: "
+        "the row and what it was trained on."
     )
-    return f"{sentence}\n\n{table(['simulated set', *titles], body)}"
+    return f"{sentence}\n\n{table(['simulated set', *column_titles], body)}"
 
 
 def holds(difference: Difference) -> bool:

@@ -74,7 +74,7 @@ def about_machine(*reports: dict[str, Any]) -> str:
 
     All reports must be from one machine; their loads may differ.
     """
-    about = reports[0]["machine"]
+    settings = reports[0]["machine"]
     loads = sorted({report["machine"]["load_1min"] for report in reports})
     load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
 
@@ -85,9 +85,9 @@ def about_machine(*reports: dict[str, Any]) -> str:
         "eventcv": "eventcv",
     }
     versions = [
-        f"Python {about['python']}",
-        f"NumPy {about['numpy']}",
-        f"Numba {about['numba']}",
-        *(f"{words} {about[name]}" for name, words in names.items() if about.get(name)),
+        f"Python {settings['python']}",
+        f"NumPy {settings['numpy']}",
+        f"Numba {settings['numba']}",
+        *(f"{title} {settings[name]}" for name, title in names.items() if settings.get(name)),
     ]
-    return f"{about['cpu']}, one thread, load {load}; {', '.join(versions)}."
+    return f"{settings['cpu']}, one thread, load {load}; {', '.join(versions)}."

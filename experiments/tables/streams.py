@@ -20,12 +20,19 @@ udp_machine = of_report("network")(about_machine)
 
 def udp_latency() -> str:
     """A table of the time from just before `send` to the bytes, the packet or the decision."""
-    found = results("network")["latency_us"]
+    latency_us = results("network")["latency_us"]
     rows = []
-    for name, words in WAYS.items():
-        adds = found.get(f"{name}_adds")
-        added = "" if adds is None else f"{adds['median']:.1f}"
-        rows.append([words, f"{found[name]['median']:.0f}", f"{found[name]['p99']:.0f}", added])
+    for name, title in WAYS.items():
+        added_us = latency_us.get(f"{name}_adds")
+        added_text = "" if added_us is None else f"{added_us['median']:.1f}"
+        rows.append(
+            [
+                title,
+                f"{latency_us[name]['median']:.0f}",
+                f"{latency_us[name]['p99']:.0f}",
+                added_text,
+            ]
+        )
     return table(["microseconds", "median", "99 %", "added by async_tnt, median"], rows)
 
 
@@ -52,41 +59,44 @@ def udp_load() -> str:
 
 
 @of_report("bench")
-def volumes(found: dict[str, Any]) -> str:
-    """A table of the nanoseconds per event by the size of a packet, and a sentence."""
+def volumes(report: dict[str, Any]) -> str:
+    """A table of the nanoseconds per event by the size of a packet.
+
+    A sentence on a whole window follows the table.
+    """
     ways = {
         "single": "`update_one`",
         "packet_10_columns": "packets of 10, columns",
         "packet_1300_columns": "packets of 1300, columns",
         "packet_1300_structured": "packets of 1300, structured",
     }
-    grids = found["volume"]
-    rows = [
-        [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
-        for way, words in ways.items()
-    ]
-    whole = found["whole_window"]
-    words = (
+    grids = report["volume"]
+    rows = []
+    for way, title in ways.items():
+        medians = [grid["ns_per_event"][way]["median"] for grid in grids]
+        rows.append([f"ns per event, {title}", *map(short, medians)])
+    whole = report["whole_window"]
+    sentence = (
         f"A window of {whole['events']:,} events on 1280 x 720, opened, filled and read: "
         f"{short(whole['ns_per_event']['median'])} ns per event."
     )
-    sizes = (" x ".join(map(str, v["grid"])) for v in grids)
-    return f"{table(['', *sizes], rows)}\n\n{words} {about_machine(found)}"
+    sizes = [" x ".join(map(str, grid["grid"])) for grid in grids]
+    return f"{table(['', *sizes], rows)}\n\n{sentence} {about_machine(report)}"
 
 
 def memory() -> str:
     """A sentence on the growth of memory in a long stream."""
-    found = results("memory")
+    report = results("memory")
     return (
-        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions "
-        f"the process has grown by {found['grown_mb']:.1f} MB since the first million."
+        f"After {report['events'] / 1e6:.0f} million events and {report['decisions']:,} decisions "
+        f"the process has grown by {report['grown_mb']:.1f} MB since the first million."
     )
 
 
 @of_report("map_times")
-def map_times(found: dict[str, Any]) -> str:
+def map_times(report: dict[str, Any]) -> str:
     """A table of medians and 99th percentiles of the times of map models, by sensor."""
-    models = found["models"]
+    models = report["models"]
     cases = {
         "one event": "one more event",
         "1,000 events": "1,000 more",
@@ -106,9 +116,9 @@ def map_times(found: dict[str, Any]) -> str:
 
 
 @of_report("map_times")
-def map_load(found: dict[str, Any]) -> str:
+def map_load(report: dict[str, Any]) -> str:
     """A table of processor seconds for each second of a stream, by number of objects."""
-    models = found["models"]
+    models = report["models"]
     numbers = next(iter(models.values()))["load"]
     rows = [
         [name, *(f"{row['load'][n]:.2f}" for n in numbers)]
@@ -119,42 +129,45 @@ def map_load(found: dict[str, Any]) -> str:
 
 
 @of_report("threads")
-def threads(found: dict[str, Any]) -> str:
+def threads(report: dict[str, Any]) -> str:
     """A table of how much faster two streams are in two threads than one after the other."""
-    words = {
+    titles = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",
         "every_us": "`Processor`, a decision every millisecond",
     }
-    head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
-    rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
-    woken = (
-        f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is "
+    head = ["packets of", *(f"{int(n):,}" for n in report["volume"])]
+    rows = []
+    for case, title in titles.items():
+        ratios = [f"{ratio['median']:.2f}" for ratio in report[case].values()]
+        rows.append([title, *ratios])
+    sentence = (
+        f"A thread that waits for Python's lock runs on {report['wake_us']:.0f} us after it is "
         "released."
     )
-    return f"{table(head, rows)}\n\n{woken}"
+    return f"{table(head, rows)}\n\n{sentence}"
 
 
 @of_report("sustained")
 def sustained(report: dict[str, Any]) -> str:
     """A table of delays and counts by load, with sentences on the sustained rate and machine."""
     rows = []
-    for load, of in report["streams"].items():
-        delays = (f"{ms:.2f}" for ms in (*of["delay_ms"].values(), of["worst_ms"]))
-        rare = "" if of["slowest"] == 1 else f"up to {of['slowest']} times rarer"
+    for load, stream in report["streams"].items():
+        delays = (f"{ms:.2f}" for ms in (*stream["delay_ms"].values(), stream["worst_ms"]))
+        rarer = "" if stream["slowest"] == 1 else f"up to {stream['slowest']} times rarer"
         counts = (
-            f"{of['decisions']:,}",
-            rare,
-            percent(of["skipped"] / of["received"]),
-            f"{of['grown_mb']:.1f}",
+            f"{stream['decisions']:,}",
+            rarer,
+            percent(stream["skipped"] / stream["received"]),
+            f"{stream['grown_mb']:.1f}",
         )
-        rows.append([load, f"{of['rate']:,.0f}", *delays, *counts])
+        rows.append([load, f"{stream['rate']:,.0f}", *delays, *counts])
     every = "event" if report["every_events"] == 1 else f"{report['every_events']} events"
     head = ["load", "events a second", "delay, ms: median", "99 %", "99.9 %", "worst"]
-    found = (
+    sentence = (
         f"{report['model']}, a decision after every {every}, if need be rarer: "
         f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us "
         "each."
     )
     loads = table([*head, "decisions", "rarer", "skipped", "MB more"], rows)
-    return f"{found}\n\n{loads}\n\n{about_machine(report)}"
+    return f"{sentence}\n\n{loads}\n\n{about_machine(report)}"

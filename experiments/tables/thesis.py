@@ -77,13 +77,15 @@ def comparison() -> str:
     motions.
     """
     lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
-    guessed = {
+    guess_by_column = {
         "1/all": _guessed("1/all"),
         "1/others": GUESS,
         "1/train": _guessed("1/train"),
         "1/sim": GUESS,
     }
-    cells = [short(guessed[column]) if column in guessed else "" for column in COLUMNS]
+    cells = [
+        short(guess_by_column[column]) if column in guess_by_column else "" for column in COLUMNS
+    ]
     lines.insert(2, f"| *guessing in other motions* | {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -119,11 +121,13 @@ def against_time() -> str:
     body = []
     for column in ("1/others", "1/sim"):
         for row in EARLY_ROWS:
-            found = accuracies.get(row, {}).get(column, {})
-            against_time = found.get("against_time_ms")
+            entry = accuracies.get(row, {}).get(column, {})
+            against_time = entry.get("against_time_ms")
             if against_time:
-                early = [short(accuracy) for accuracy in against_time.values()]
-                body.append([f"{column}: {ROWS[row].title}", *early, short(found["mean"])])
+                early_accuracies = [short(accuracy) for accuracy in against_time.values()]
+                body.append(
+                    [f"{column}: {ROWS[row].title}", *early_accuracies, short(entry["mean"])]
+                )
     times = accuracies[EARLY_ROWS[0]]["1/others"]["against_time_ms"]
     return table(["", *(f"{ms} ms" for ms in times), "105 ms"], body)
 
@@ -146,8 +150,8 @@ def equivariance(report: dict[str, Any]) -> str:
     """A table of the equivariance errors by input, layer and flow."""
     body = [
         [name, layer, *(f"{error:.2f}" for error in errors)]
-        for name, of_layer in report["errors"].items()
-        for layer, errors in of_layer.items()
+        for name, errors_by_layer in report["errors"].items()
+        for layer, errors in errors_by_layer.items()
     ]
     return table(["input", "layer", *(f"{flow} px" for flow in report["flows_px"])], body)
 

@@ -84,18 +84,18 @@ class RealFolder:
         train = read_nmnist_folder(self.folder / "Train", per_digit=self.per_digit)
         test = read_nmnist_folder(self.folder / "Test", per_digit=self.per_digit)
         rng = np.random.default_rng(VALIDATION_SEED)
-        learned, held_out = split_recordings(train, self.validation, rng)
+        training_indices, held_out = split_recordings(train, self.validation, rng)
         if (len(train), len(test)) == OFFICIAL:
             split = "the official one"
         else:
             split = "not the official one (60,000 and 10,000 recordings)"
         return RealData(
-            make_windows(train, SACCADE_US, which=learned, duration_us=DURATION_US),
+            make_windows(train, SACCADE_US, which=training_indices, duration_us=DURATION_US),
             make_windows(train, SACCADE_US, which=held_out, duration_us=DURATION_US),
             make_windows(test, SACCADE_US, duration_us=DURATION_US),
             shown_test_images(train.names),
             {
-                "training_recordings": len(learned),
+                "training_recordings": len(training_indices),
                 "held_out_recordings": len(held_out),
                 "test_recordings": len(test),
                 "split": split,
@@ -112,8 +112,8 @@ def shown_test_images(names: Sequence[str]) -> np.ndarray:
     index n - 1 of MNIST's test set.
     """
     numbers = np.array(recording_numbers(names), np.int64)
-    of_test = numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]
-    images: np.ndarray = np.unique(of_test) - OFFICIAL[0] - 1
+    test_numbers = numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]
+    images: np.ndarray = np.unique(test_numbers) - OFFICIAL[0] - 1
     return images
 
 
@@ -131,7 +131,7 @@ def trained_on(windows: Windows, name: str) -> Windows:
 
 
 def spanned(windows: Windows, n_events: int) -> Windows:
-    """Windows with the first `n_events` of the given windows, each in a recording of its own.
+    """The first `n_events` events of each window, as windows in recordings of their own.
 
     Times are scaled so that the first event is at 0 and the last event at the end of the window, as
     in the thesis.
@@ -163,20 +163,25 @@ def make_set(
     ------
     ValueError : there are fewer than `n_images` such images.
     """
-    kind, dark = SETS[name]
-    unseen = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
-    if len(unseen) < n_images:
+    kind, is_dark = SETS[name]
+    unseen_images = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
+    if len(unseen_images) < n_images:
         raise ValueError(
-            f"{mnist}: {len(unseen)} test images are not shown by training recordings, not "
+            f"{mnist}: {len(unseen_images)} test images are not shown by training recordings, not "
             f"{n_images}"
         )
-    scene = Scene(dark_on_bright=dark)
+    scene = Scene(dark_on_bright=is_dark)
     return build(
-        mnist, folder, kind=kind, which=unseen[:n_images].tolist(), scene=scene, workers=workers
+        mnist,
+        folder,
+        kind=kind,
+        which=unseen_images[:n_images].tolist(),
+        scene=scene,
+        workers=workers,
     )
 
 
-def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
+def simulated_windows(simulated_set: MovingMnist) -> Iterator[tuple[str, Windows]]:
     """For each shard of a set, the name of its motion and its windows.
 
     The name of a recording is the index of its image.
@@ -186,7 +191,7 @@ def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
     ValueError : a shard is damaged.
     FileNotFoundError : a shard is missing.
     """
-    for shard in made:
+    for shard in simulated_set:
         columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}
         recordings = Recordings(
             **columns,

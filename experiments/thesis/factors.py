@@ -58,26 +58,26 @@ def effects(right: Right) -> list[dict[str, Any]]:
         levels[factor] = np.array([level_of(*SETS[name], px) for name, px in cells])
     for first, second in itertools.combinations(FACTORS, 2):
         levels[f"{first} and {second}"] = levels[first] * levels[second]
-    found: list[dict[str, Any]] = []
-    for on, row in GAINS:
-        columns = [(name, f"{on}/{tested}") for name in (row, AGAINST) for tested in sets]
+    results: list[dict[str, Any]] = []
+    for trained_on, row in GAINS:
+        columns = [(name, f"{trained_on}/{tested}") for name in (row, AGAINST) for tested in sets]
         seeds = set.intersection(*(set(right.get(column, {})) for column in columns))
         if len(seeds) < 2:
             continue
         gains_of_cells = []
         for name, px in cells:
-            column = f"{on}/{name}"
+            column = f"{trained_on}/{name}"
             gains_of_cells.append([_gain(right, row, column, px, seed) for seed in sorted(seeds)])
         gains = np.stack(gains_of_cells)  # (cells, seeds, digits)
-        about = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
-        found.append({**about, "effect": "mean", **interval(gains.mean(0))})
+        names = {"trained_on": trained_on, "row": row, "against": AGAINST, "seeds": len(seeds)}
+        results.append({**names, "effect": "mean", **interval(gains.mean(0))})
         for effect, level in levels.items():
             # the mean gain at level 1 minus that at level -1, (seeds, digits)
             contrast = np.tensordot(level / np.sum(level == 1), gains, 1)
-            found.append({**about, "effect": effect, **interval(contrast)})
-    for result, p in zip(found, holm([result["p"] for result in found]), strict=True):
+            results.append({**names, "effect": effect, **interval(contrast)})
+    for result, p in zip(results, holm([result["p"] for result in results]), strict=True):
         result["holm"] = p
-    return found
+    return results
 
 
 def _gain(right: Right, row: str, column: str, px: int, seed: int) -> np.ndarray:

@@ -49,36 +49,36 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
     runs = sorted(runs, key=lambda run: int(run["seed"]))
     table: dict[str, Any] = {}
     for row in ROWS:
-        of_row = [run for run in runs if run["row"] == row]
-        for column in in_order(column for run in of_row for column in run["columns"]):
-            found = {
-                run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]
+        row_runs = [run for run in runs if run["row"] == row]
+        for column in in_order(column for run in row_runs for column in run["columns"]):
+            results_by_seed = {
+                run["seed"]: run["columns"][column] for run in row_runs if column in run["columns"]
             }
-            first = next(iter(found.values()))
+            first = next(iter(results_by_seed.values()))
             is_drawn = column.split("/")[1] not in UNDRAWN
-            per_motion = _means(found, "per_motion") if is_drawn else {}
+            per_motion = _means(results_by_seed, "per_motion") if is_drawn else {}
             table.setdefault(row, {})[column] = {
-                **summary([part["accuracy"] for part in found.values()]),
-                "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
+                **summary([part["accuracy"] for part in results_by_seed.values()]),
+                "seeds": {str(seed): part["accuracy"] for seed, part in results_by_seed.items()},
                 "windows": first["windows"],
                 "per_motion": per_motion,
-                "against_time_ms": _means(found, "against_time_ms"),
+                "against_time_ms": _means(results_by_seed, "against_time_ms"),
             }
     return table
 
 
-def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
+def _means(results_by_seed: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
     """The mean over the seeds of each entry in the dictionary `name` of the results."""
-    parts = [part[name] for part in found.values()]
+    parts = [part[name] for part in results_by_seed.values()]
     return {entry: round(float(np.mean([part[entry] for part in parts])), 5) for entry in parts[0]}
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
     """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
-    found = set(columns)
+    wanted = set(columns)
     trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
     order = [*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)]
-    return [column for column in order if column in found]
+    return [column for column in order if column in wanted]
 
 
 def summary(values: Sequence[float]) -> dict[str, float | None]:
@@ -94,8 +94,8 @@ def shares(right: np.ndarray) -> np.ndarray:
 
     right : (motions, digits), see `Right`.
     """
-    there = right >= 0
-    return np.where(there, right, 0).sum(0) / there.sum(0)
+    has_window = right >= 0
+    return np.where(has_window, right, 0).sum(0) / has_window.sum(0)
 
 
 def interval(values: np.ndarray) -> dict[str, float]:
@@ -108,16 +108,19 @@ def interval(values: np.ndarray) -> dict[str, float]:
     from scipy import stats
 
     mean = float(values.mean())
-    # The variance of the mean has two parts: that of digits, then that of seeds.
+    # The variance of the mean has two parts. The mean over the seeds, axis 0, leaves that of the
+    # digits. The mean over the digits, axis 1, leaves that of the seeds.
     sizes = [values.shape[1], values.shape[0]]
     parts = [values.mean(axis).var(ddof=1) / sizes[axis] for axis in (0, 1)]
     error = float(sum(parts)) ** 0.5
     if error == 0.0:
         return {"mean": mean, "low": mean, "high": mean, "p": float(mean == 0.0)}
     # Satterthwaite's degrees of freedom
-    freedom = error**4 / sum(part**2 / (n - 1) for part, n in zip(parts, sizes, strict=True))
-    half = float(stats.t.ppf(0.975, freedom)) * error
-    p = float(2 * stats.t.sf(abs(mean) / error, freedom))
+    degrees_of_freedom = error**4 / sum(
+        part**2 / (n - 1) for part, n in zip(parts, sizes, strict=True)
+    )
+    half = float(stats.t.ppf(0.975, degrees_of_freedom)) * error
+    p = float(2 * stats.t.sf(abs(mean) / error, degrees_of_freedom))
     return {"mean": mean, "low": mean - half, "high": mean + half, "p": p}
 
 
@@ -131,24 +134,25 @@ def differences(right: Right) -> list[dict[str, Any]]:
     Dictionaries with "question", "row", "against", "column", "seeds" (how many), what `interval`
     gives, and "holm": p adjusted for all differences of the question.
     """
-    found: list[dict[str, Any]] = []
+    all_differences: list[dict[str, Any]] = []
     for question, pairs in QUESTIONS.items():
-        of_question: list[dict[str, Any]] = []
+        question_differences: list[dict[str, Any]] = []
         for row, against in pairs:
             for column in in_order(column for name, column in right if name == row):
-                of_row = right[row, column]
-                other = right.get((against, column), {})
-                seeds = [seed for seed in of_row if seed in other]
+                row_right = right[row, column]
+                other_right = right.get((against, column), {})
+                seeds = [seed for seed in row_right if seed in other_right]
                 if len(seeds) > 1:
                     values = np.stack(
-                        [shares(of_row[seed]) - shares(other[seed]) for seed in seeds]
+                        [shares(row_right[seed]) - shares(other_right[seed]) for seed in seeds]
                     )
                     names = {"question": question, "row": row, "against": against, "column": column}
-                    of_question.append({**names, "seeds": len(seeds), **interval(values)})
-        for difference, p in zip(of_question, holm([d["p"] for d in of_question]), strict=True):
+                    question_differences.append({**names, "seeds": len(seeds), **interval(values)})
+        adjusted = holm([difference["p"] for difference in question_differences])
+        for difference, p in zip(question_differences, adjusted, strict=True):
             difference["holm"] = p
-        found += of_question
-    return found
+        all_differences += question_differences
+    return all_differences
 
 
 def holm(p: Sequence[float]) -> list[float]:

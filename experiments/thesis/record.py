@@ -43,7 +43,9 @@ def record_of(
         "command": command,
         "data": {
             **data.description,
-            "simulated": {name: made.parameters for name, made in simulated.items()},
+            "simulated": {
+                name: simulated_set.parameters for name, simulated_set in simulated.items()
+            },
         },
         "rows": {name: _about(name, results, iterations) for name in table},
         "settings": {
@@ -54,11 +56,13 @@ def record_of(
         "table": table,
         "differences": differences(right),
         "effects": effects(right),
-        "validation": {name: one["validation"] for name, one in by_name.items()},
+        "validation": {
+            name: result_of_run["validation"] for name, result_of_run in by_name.items()
+        },
         "curves": {
-            name: [_rounded(epoch) for epoch in one["history"]]
-            for name, one in by_name.items()
-            if ROWS[one["row"]].group == "long"
+            name: [_rounded(epoch) for epoch in result_of_run["history"]]
+            for name, result_of_run in by_name.items()
+            if ROWS[result_of_run["row"]].group == "long"
         },
     }
 

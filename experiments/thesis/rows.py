@@ -207,11 +207,16 @@ GROUPS = {
 
 def _thesis() -> Iterator[Row]:
     """The thesis' rows, for our number of steps and for its own."""
-    moved = replace(AS_RECORDED, translate_px=TRANSLATE_PX)
+    translated = replace(AS_RECORDED, translate_px=TRANSLATE_PX)
     rows = (
         ("thesis-baseline", "Baseline", INPUTS["raw"], AS_RECORDED),
         ("thesis-tnt", "TNT", INPUTS["center"].replace(t_max=T_MAX_THESIS), AS_RECORDED),
-        ("thesis-regress", "TNT+regress", INPUTS["regressor"].replace(t_max=T_MAX_THESIS), moved),
+        (
+            "thesis-regress",
+            "TNT+regress",
+            INPUTS["regressor"].replace(t_max=T_MAX_THESIS),
+            translated,
+        ),
     )
     for name, title, config, augmentation in rows:
         yield Row(name, "thesis", title, config, augmentation, STEPS_MORE)
@@ -263,13 +268,15 @@ def _comparison() -> Iterator[Row]:
 
 def _spans() -> Iterator[Row]:
     """Rows whose time is scaled from a window's first event to its last."""
-    for name, n, words in (
+    for name, n, span_title in (
         ("raw", ALL_EVENTS, "from first event to last"),
         ("center", ALL_EVENTS, "from first event to last"),
         ("center", WINDOW_EVENTS, f"windows of {WINDOW_EVENTS:,} events"),
     ):
-        known = "span" if n == ALL_EVENTS else f"{n}-events"
-        yield Row(f"{name}-{known}", "spans", f"{TITLES[name]}, {words}", INPUTS[name], span=n)
+        suffix = "span" if n == ALL_EVENTS else f"{n}-events"
+        yield Row(
+            f"{name}-{suffix}", "spans", f"{TITLES[name]}, {span_title}", INPUTS[name], span=n
+        )
 
 
 def _motions() -> Iterator[Row]:
@@ -310,10 +317,10 @@ def _representations() -> Iterator[Row]:
     image_config = TNTConfig(transform="none", landmark="center", polarity="split")
     for image, title in IMAGES.items():
         inputs[image] = (title, image_config.replace(representation=image))
-    moved = replace(THINNED, translate_px=TRANSLATE_PX)
+    translated = replace(THINNED, translate_px=TRANSLATE_PX)
     for name, (title, config) in inputs.items():
         row = f"{name}-translated"
-        yield Row(row, "representations", f"{title}, translated", config, moved)
+        yield Row(row, "representations", f"{title}, translated", config, translated)
 
 
 _PARTS = (_thesis, _comparison, _spans, _motions, _representations)
@@ -396,5 +403,9 @@ def runs_of(names: Iterable[str], trained_on: Collection[str], seeds: Sequence[i
         for place, seed in enumerate(seeds):
             for row in rows:
                 if row.seeds is None or place < row.seeds:
-                    runs += [Run(row.name, on, seed) for on in row.trained_on if on in trained_on]
+                    runs += [
+                        Run(row.name, training_set, seed)
+                        for training_set in row.trained_on
+                        if training_set in trained_on
+                    ]
     return runs

@@ -71,19 +71,24 @@ def run_networks(
     ChildProcessError : a worker was killed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # motions first: all workers make the motions of one row together
-    for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):
-        motions_of(row, on, real.read(), settings_of(Run(row, on, 0), settings), folder, workers)
+    # The motions are made before the networks are trained, so that all workers make the motions of
+    # one row together. `run_network` then finds their files. Motions do not depend on the seed, so
+    # the first run of a row stands for all its seeds.
+    first_runs: dict[tuple[str, str], Run] = {}
+    for run in runs:
+        first_runs.setdefault((run.row, run.trained_on), run)
+    for run in first_runs.values():
+        make_motions(run, real.read(), settings_of(run, settings), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
-    done = []
+    finished_results = []
     with (
         progress(len(runs), "training networks") as bar,
         contextlib.closing(run_all(task, runs, workers)) as results,
     ):
         for result in results:
-            done.append(result)
+            finished_results.append(result)
             bar.update()
-    return done
+    return finished_results
 
 
 def _run_task(
@@ -111,8 +116,8 @@ def run_network(
     Parameters
     ----------
     simulated : the simulated sets of `rows.SETS`, by name.
-    settings : settings of the training. The run gives the seed and its row the augmentation. The
-        row also gives the iterations if the settings have none.
+    settings : settings of the training. The seed is that of the run, and the augmentation that of
+        its row. If the settings have no number of iterations, that is of the row, too.
     folder : holds a folder for each run. A run's folder has its checkpoint and its history as JSON.
         When the run is done, it also has its model, its result as JSON, which windows were right
         and, with matplotlib, its learning curves.
@@ -128,30 +133,34 @@ def run_network(
     if row.span is not None:
         training = spanned(training, row.span)
         held_out = spanned(held_out, row.span)
-    motions = motions_of(run.row, run.trained_on, data, settings, folder)
+    motions = make_motions(run, data, settings, folder)
     folder = folder / run.name
-    # This is quick for a finished run with these settings: its checkpoint is of the last epoch.
-    shown = TrainingData(row.config, CLASSES, training, held_out)
-    trained = train(shown, settings, folder, motions=motions)
+    # For a finished run with these settings this is quick, because its checkpoint is that of the
+    # last epoch.
+    training_data = TrainingData(row.config, CLASSES, training, held_out)
+    trained = train(training_data, settings, folder, motions=motions)
 
     tested_on = {
         column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
     }
-    tested_on |= {f"{run.trained_on}/{name}": made.parameters for name, made in simulated.items()}
-    finished = folder / RESULT
-    if finished.exists():
-        before: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
-        if before["tested_on"] == tested_on:
-            return before
+    tested_on |= {
+        f"{run.trained_on}/{name}": simulated_set.parameters
+        for name, simulated_set in simulated.items()
+    }
+    result_path = folder / RESULT
+    if result_path.exists():
+        earlier_result: dict[str, Any] = json.loads(result_path.read_text(encoding="utf-8"))
+        if earlier_result["tested_on"] == tested_on:
+            return earlier_result
 
     pipeline = pipeline_of(trained.model)
     columns: dict[str, Any] = {}
     right: dict[str, np.ndarray] = {}
     for column in tested_on:
         moments = MOMENTS_MS if column in EARLY and row.span is None else ()
-        found = _tested(pipeline, column.split("/")[1], data, simulated, row.span, moments)
-        right[column] = found.pop("right")
-        columns[column] = found
+        test_result = _tested(pipeline, column.split("/")[1], data, simulated, row.span, moments)
+        right[column] = test_result.pop("right")
+        columns[column] = test_result
 
     last_epoch = trained.history[-1]
     result = {
@@ -174,8 +183,8 @@ def run_network(
     plot_curves(trained.history, folder / "curves.png")
     replace(trained.model, record=result).save(folder / "model.safetensors")
     _write_right(folder / RIGHT, right)
-    # written last, because this file tells that the run is finished
-    write_text(finished, json.dumps(result, indent=1))
+    # this file is written last, because it says that the run is finished
+    write_text(result_path, json.dumps(result, indent=1))
     return result
 
 
@@ -198,32 +207,32 @@ def right_of(
 
 
 def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
-    """The full settings of a network's training: those given, its seed, and those of its row."""
+    """The full settings of a network's training: `settings` with the run's seed and row."""
     row = ROWS[run.row]
     iterations = settings.iterations or row.iterations
     return replace(settings, seed=run.seed, augmentation=row.augmentation, iterations=iterations)
 
 
-def motions_of(
-    row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
+def make_motions(
+    run: Run, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
 ) -> Motions | None:
-    """Re-synthesized motions of a row's training windows; None for a row without re-synthesis.
+    """Re-synthesize the motions of a run's windows. Files that exist are not made again.
 
-    Rows and seeds with the same settings share the motions.
+    Rows and seeds with the same settings share the files. The result is None for a row without
+    re-synthesis.
     """
-    config = ROWS[row].config
-    motions = ROWS[row].motions
-    if motions is None:
+    row = ROWS[run.row]
+    if row.motions is None:
         return None
-    training = trained_on(data.training, on)
-    held_out = trained_on(data.held_out, on)
-    motions = motions.for_epochs(settings.n_epochs(len(training)))
+    training = trained_on(data.training, run.trained_on)
+    held_out = trained_on(data.held_out, run.trained_on)
+    motion_settings = row.motions.for_epochs(settings.n_epochs(len(training)))
     return resynthesize(
         training,
         held_out,
-        config,
-        motions,
-        folder / f"motions-{on}",
+        row.config,
+        motion_settings,
+        folder / f"motions-{run.trained_on}",
         workers=workers,
         progress=progress,
     )
@@ -237,35 +246,36 @@ def _tested(
     span: int | None,
     moments_ms: tuple[int, ...],
 ) -> dict[str, Any]:
-    """The result of one test: the accuracy in all, of each motion and at moments, and "right".
+    """The result of one test: accuracies over all windows, by motion and by time, and "right".
 
-    "right" tells which windows are right. It is int8, (motions, recordings or images), and -1 where
-    a recording or image has no window in a motion.
+    "right" says which windows are right. It is int8, (motions, recordings or images): 1 is right, 0
+    is wrong, and -1 means that the recording or image has no window in the motion.
     """
     parts = []
-    early = {ms: [0, 0] for ms in moments_ms}
+    early_counts = {ms: [0, 0] for ms in moments_ms}
     for motion, windows in _windows(test, data, simulated):
-        names = [windows.recordings.names[r] for r in windows.recording]
+        names = [windows.recordings.names[index] for index in windows.recording]
         tested = windows if span is None else spanned(windows, span)
         parts.append((motion, names, _right(pipeline, tested)))
-        for ms, counts in early.items():
-            right_early = _right(pipeline, tested, until_us=1_000 * ms)
-            counts[0] += int(right_early.sum())
-            counts[1] += len(right_early)
+        for ms, counts in early_counts.items():
+            is_right_early = _right(pipeline, tested, until_us=1_000 * ms)
+            counts[0] += int(is_right_early.sum())
+            counts[1] += len(is_right_early)
     # a motion may come in several parts
     motions = list(dict.fromkeys(motion for motion, *_ in parts))
     all_names = sorted({name for _, names, _ in parts for name in names})
-    place = {name: i for i, name in enumerate(all_names)}
+    columns = {name: i for i, name in enumerate(all_names)}
     right = np.full((len(motions), len(all_names)), -1, np.int8)
-    for motion, names, of_part in parts:
-        right[motions.index(motion), [place[name] for name in names]] = of_part
+    for motion, names, is_right in parts:
+        right[motions.index(motion), [columns[name] for name in names]] = is_right
     return {
         "accuracy": float(right[right >= 0].mean()),
         "windows": int((right >= 0).sum()),
         "per_motion": {
-            motion: float(row[row >= 0].mean()) for motion, row in zip(motions, right, strict=True)
+            motion: float(motion_right[motion_right >= 0].mean())
+            for motion, motion_right in zip(motions, right, strict=True)
         },
-        "against_time_ms": {str(ms): n_right / n for ms, (n_right, n) in early.items()},
+        "against_time_ms": {str(ms): n_right / n for ms, (n_right, n) in early_counts.items()},
         "right": right,
     }
 

@@ -46,12 +46,12 @@ def hats(
     References
     ----------
     Sironi et al. 2018, arXiv:1803.07913, equations 5 to 8, without the decay exp(-(t_i - t_j) /
-    tau), whose tau is ten thousand windows there.
+    tau). In the paper, tau is as long as ten thousand windows.
 
     Example
     -------
-    >>> at = dict(start_us=0, window_us=8, sensor=(4, 4), grid=(2, 2), polarity="unsigned")
-    >>> h = hats([0, 1, 2], [0, 1, 1], [0, 0, 0], [1, 1, 1], **at)
+    >>> settings = dict(start_us=0, window_us=8, sensor=(4, 4), grid=(2, 2), polarity="unsigned")
+    >>> h = hats([0, 1, 2], [0, 1, 1], [0, 0, 0], [1, 1, 1], **settings)
     >>> used = h[:, 0, 0].nonzero()[:, 0].tolist()
     >>> [(z // 7 - 3, z % 7 - 3, round(float(h[z, 0, 0]), 3)) for z in used]
     [(0, -1, 0.667), (0, 0, 0.333)]
@@ -64,12 +64,12 @@ def hats(
     check_size("sensor", sensor)
     columns, rows = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
-    polarities = 1 if polarity == "unsigned" else 2
+    n_polarities = 1 if polarity == "unsigned" else 2
     # 0 or 1: the part of the histogram that an event belongs to
-    part = (signs(p, len(events.dt)) < 0).long() * (polarities - 1)
+    part = (signs(p, len(events.dt)) < 0).long() * (n_polarities - 1)
     side = 2 * RADIUS + 1
-    total = torch.zeros(polarities, side, side, rows, columns, dtype=torch.float64)
-    size = torch.zeros(rows, columns, dtype=torch.float64)
+    total = torch.zeros(n_polarities, side, side, rows, columns, dtype=torch.float64)
+    n_events = torch.zeros(rows, columns, dtype=torch.float64)
     earlier: list[tuple[int, int, int]] = []
     pixels = whole_pixels(events).tolist()
     for inside, (u, v), q in zip(events.inside.tolist(), pixels, part.tolist(), strict=True):
@@ -79,10 +79,10 @@ def hats(
         for other_u, other_v, other_q in earlier:
             dx = other_u - u
             dy = other_v - v
-            same = (other_v * rows // sensor[1], other_u * columns // sensor[0]) == cell
-            if same and other_q == q and max(abs(dx), abs(dy)) <= RADIUS:
+            is_same_cell = (other_v * rows // sensor[1], other_u * columns // sensor[0]) == cell
+            if is_same_cell and other_q == q and max(abs(dx), abs(dy)) <= RADIUS:
                 total[(q, dy + RADIUS, dx + RADIUS, *cell)] += 1
-        size[cell] += 1
+        n_events[cell] += 1
         earlier.append((u, v, q))
-    mean = total / torch.where(size > 0, size, 1.0)
-    return mean.reshape(polarities * side * side, rows, columns).to(dtype)
+    mean = total / torch.where(n_events > 0, n_events, 1.0)
+    return mean.reshape(n_polarities * side * side, rows, columns).to(dtype)

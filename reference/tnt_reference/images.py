@@ -1,4 +1,4 @@
-"""Event images: counts of events per pixel and polarity, the time of the newest, the mean time."""
+"""Event images: counts of events per pixel and polarity, times of newest events, mean times."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ def count_image(
     >>> count_image(t=[10, 20, 30], x=[0, 2, 2], y=[1, 0, 0], p=[1, 0, 0], sensor=(3, 2)).tolist()
     [[[0, 0, 0], [1, 0, 0]], [[0, 0, 2], [0, 0, 0]]]
     """
+    # times are ignored, so any window will do
     channel, row, column, _ = events_at(t, x, y, p, start_us=0, window_us=1, sensor=sensor)
     image = torch.zeros(2, sensor[1], sensor[0], dtype=torch.int64)
     image.index_put_((channel, row, column), torch.ones_like(row), accumulate=True)
@@ -81,8 +82,8 @@ def count_timestamp_image(
 
     Example
     -------
-    >>> at = dict(start_us=10, window_us=40, sensor=(3, 2))
-    >>> image = count_timestamp_image([10, 20, 30], [0, 2, 2], [1, 0, 0], [1, 0, 0], **at)
+    >>> settings = dict(start_us=10, window_us=40, sensor=(3, 2))
+    >>> image = count_timestamp_image([10, 20, 30], [0, 2, 2], [1, 0, 0], [1, 0, 0], **settings)
     >>> image[3].tolist()
     [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
     """
@@ -129,7 +130,7 @@ def time_image(
         M[y, x] = sum_i w_i f_i / N[y, x]
         S[y, x] = max {exp(-(1 - f_i) window / tau) : w_i > 0}        tau = window / 2
 
-    Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0.
+    All images are 0 where there are no events. A weight below WEIGHT_TOLERANCE counts as 0.
 
     Parameters
     ----------
@@ -149,9 +150,9 @@ def time_image(
 
     Example
     -------
-    >>> at = dict(start_us=0, window_us=8, sensor=(2, 2), grid=(2, 2), polarity="unsigned")
+    >>> settings = dict(start_us=0, window_us=8, sensor=(2, 2), grid=(2, 2), polarity="unsigned")
     >>> columns = [0, 2, 4], [1, 1, 0], [0, 0, 1], [1, 0, 1]
-    >>> time_image(*columns, representation="mean_time", **at).tolist()
+    >>> time_image(*columns, representation="mean_time", **settings).tolist()
     [[[0.0, 0.125], [0.5, 0.0]]]
     """
     if representation not in ("count_time", "mean_time", "time_surface"):
@@ -167,14 +168,14 @@ def time_image(
     grid = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     sign = signs(p, len(events.dt))
-    place = to_grid(events.pixels, sensor, grid).double()  # (N, 2)
+    places = to_grid(events.pixels, sensor, grid).double()  # (N, 2)
     f = window_fraction(events.dt, window_us)  # (N,)
-    groups = [events.inside]
+    masks = [events.inside]  # each (N,)
     if polarity == "split":
-        groups = [events.inside & (sign > 0), events.inside & (sign < 0)]
+        masks = [events.inside & (sign > 0), events.inside & (sign < 0)]
     channels = []
-    for which in groups:
-        count, newest, mean = _time_sums(place[which], f[which], grid)
+    for mask in masks:
+        count, newest, mean = _time_sums(places[mask], f[mask], grid)
         if representation == "count_time":
             channels += [count, newest]
         elif representation == "mean_time":
@@ -186,20 +187,20 @@ def time_image(
 
 
 def _time_sums(
-    place: torch.Tensor, f: torch.Tensor, grid: tuple[int, int]
+    places: torch.Tensor, f: torch.Tensor, grid: tuple[int, int]
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """N, T and M of `time_image` for M events: float64, (H, W) each."""
     count = torch.zeros(grid[1], grid[0], dtype=torch.float64)
     newest = torch.zeros_like(count)
     total = torch.zeros_like(count)
-    for (u, v), time in zip(place.tolist(), f.tolist(), strict=True):
+    for (u, v), time in zip(places.tolist(), f.tolist(), strict=True):
         for column in range(int(u), min(int(u) + 2, grid[0])):
             for row in range(int(v), min(int(v) + 2, grid[1])):
-                w = (1 - abs(u - column)) * (1 - abs(v - row))
-                if w >= WEIGHT_TOLERANCE:
-                    count[row, column] += w
+                weight = (1 - abs(u - column)) * (1 - abs(v - row))
+                if weight >= WEIGHT_TOLERANCE:
+                    count[row, column] += weight
                     newest[row, column] = max(newest[row, column], time)
-                    total[row, column] += w * time
+                    total[row, column] += weight * time
     mean = torch.where(count > 0, total / torch.where(count > 0, count, 1.0), 0.0)
     return count, newest, mean
 
@@ -214,7 +215,7 @@ def events_at(
     window_us: int,
     sensor: tuple[int, int],
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Channel, row, column (int64) and window fraction (float64) of all events: four of (N,).
+    """Channel, row, column (int64) and window fraction (float64) of all events, (N,) each.
 
     The columns are checked.
     """

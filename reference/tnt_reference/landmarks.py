@@ -16,7 +16,8 @@ from .window import Column, check_size, window_events
 
 LANDMARKS = ("center", "running", "line", "window")
 
-# The most numbers in an array of `prefix_lines`, prefixes times events: 512 KiB fit in caches.
+# The most numbers in an array of `prefix_lines`, which has a row for each prefix and a column for
+# each event. So many float64 numbers take 512 KiB, which fit in caches.
 _CHUNK_CELLS = 1 << 16
 
 
@@ -61,8 +62,8 @@ def landmark(
 
     Example
     -------
-    >>> at = dict(start_us=0, window_us=10, sensor=(9, 9), grid=(9, 9))
-    >>> landmark("running", t=[1, 2, 3], x=[0, 2, 7], y=[4, 4, 4], **at).tolist()
+    >>> settings = dict(start_us=0, window_us=10, sensor=(9, 9), grid=(9, 9))
+    >>> landmark("running", t=[1, 2, 3], x=[0, 2, 7], y=[4, 4, 4], **settings).tolist()
     [[0.0, 4.0], [1.0, 4.0], [3.0, 4.0]]
     """
     if name == "regressor":
@@ -105,9 +106,9 @@ def fitted_flow(
         C_xf = sum_j (x_j - mean_x) (f_j - mean_f)
         C_ff = sum_j (f_j - mean_f)^2
 
-    with all sums over j = 1..i. The 1, in units of squared windows, is a ridge: with few events the
-    slope goes to 0 and the intercept to the running centroid, where the plain fit would be
-    ill-posed.
+    with all sums over j = 1..i. The 1, in units of squared windows, is a ridge. With few events,
+    for which the plain fit would be ill-posed, the slope goes to 0 and the intercept goes to the
+    running centroid.
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, t
     intercepts = [means[:0]]
     slopes = [means[:0]]
 
-    # R prefixes at a time: all of them at once would be M x M.
+    # R prefixes at a time, because an array of all of them would be M x M
     n_rows = max(1, _CHUNK_CELLS // max(1, len(f)))
     for first in range(0, len(f), n_rows):
         last = min(first + n_rows, len(f))

@@ -25,9 +25,9 @@ class LayerNetwork(nn.Module):
 
     Parameters
     ----------
-    layers : the layers in the form that the module's docstring describes.
-    tensors : name -> weights. They become parameters of this module. The means and variances of
-        batch_norm are not trained.
+    layers : the layers in the form that the docstring of this file describes.
+    tensors : name -> weights. They become parameters of this torch module. The means and variances
+        of batch norms are not trained.
 
     Raises
     ------
@@ -48,6 +48,7 @@ class LayerNetwork(nn.Module):
                     values = torch.as_tensor(tensors[name]).clone()
                     is_trained = role not in ("mean", "variance")
                     self.tensors[name] = nn.Parameter(values, requires_grad=is_trained)
+        # torch does not look for parameters in a dictionary: this list registers them
         self._parameters_of_layers = nn.ParameterList(self.tensors.values())
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
@@ -121,11 +122,11 @@ def _gelu_tanh(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     return F.gelu(x, approximate="tanh")
 
 
-def _function(of: Callable[[torch.Tensor], torch.Tensor]) -> Operation:
+def _function(function: Callable[[torch.Tensor], torch.Tensor]) -> Operation:
     """An op of one input, without parameters."""
 
     def operation(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
-        return of(x)
+        return function(x)
 
     return operation
 
@@ -187,13 +188,13 @@ def _flatten(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
 def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
     """The mean place (x, y) of each heatmap exp(e), float64, shape (N, 2).
 
-    The exponents e have the shape (N, 1, H, W).
+    The exponents e are `exponent`, (N, 1, H, W).
 
     l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])
     """
     e = exponent[..., 0, :, :].double()  # (N, H, W)
-    # A common factor does not change the centroid: make the largest cell 1, so that exp cannot
-    # overflow.
+    # A common factor does not change the centroid. It is chosen so that the largest cell is 1, and
+    # exp cannot overflow.
     h = torch.exp(e - e.detach().amax(dim=(-2, -1), keepdim=True))  # (N, H, W)
     height, width = h.shape[-2:]
     y = torch.arange(height, dtype=torch.float64, device=h.device)

@@ -55,17 +55,19 @@ def contrast_frames(
 
 
 def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
-    """S, (n, n): moves n samples of a periodic signal, n odd, by a real displacement.
+    """S, (n, n): the matrix that moves n samples of a periodic signal by a real displacement.
+
+    n must be odd.
 
     S_ij = D(i - j - displacement)
     D(a) = 1/n sum_{|m| <= (n-1)/2} cos(2 pi m a / n)        the periodic sinc
     """
     if n % 2 == 0:
         raise ValueError(f"`n` must be odd, got {n}")
-    place = torch.arange(n, dtype=torch.float64)
-    away = place[:, None] - place[None, :] - displacement
+    places = torch.arange(n, dtype=torch.float64)
+    distance = places[:, None] - places[None, :] - displacement
     waves = torch.arange(-(n // 2), n // 2 + 1, dtype=torch.float64)
-    return torch.cos(2 * math.pi / n * waves * away[..., None]).sum(-1) / n
+    return torch.cos(2 * math.pi / n * waves * distance[..., None]).sum(-1) / n
 
 
 def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
@@ -74,9 +76,11 @@ def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
     `path` is (K, 2), with columns x and y.
     """
     rows, columns = shape
-    one = torch.eye(rows * columns, dtype=torch.float64)
-    moved = [torch.kron(shift_matrix(rows, r[1]), shift_matrix(columns, r[0])) - one for r in path]
-    return torch.cat(moved)
+    identity = torch.eye(rows * columns, dtype=torch.float64)
+    blocks = [
+        torch.kron(shift_matrix(rows, r[1]), shift_matrix(columns, r[0])) - identity for r in path
+    ]
+    return torch.cat(blocks)
 
 
 def noise_covariance(n_frames: int) -> torch.Tensor:
@@ -102,14 +106,14 @@ def path_evidence(
     Scalar tensor, differentiable with respect to `path`.
     """
     n_frames, rows, columns = frames.shape
-    one = torch.eye(rows * columns, dtype=torch.float64)
-    noise = torch.kron(noise_covariance(n_frames), one)
+    identity = torch.eye(rows * columns, dtype=torch.float64)
+    noise = torch.kron(noise_covariance(n_frames), identity)
     differences = difference_matrix((rows, columns))
-    precision = roughness * differences.T @ differences + level * one
-    moved = motion_matrix(path, (rows, columns))
-    with_image = noise + moved @ torch.linalg.solve(precision, moved.T)
+    precision = roughness * differences.T @ differences + level * identity
+    motion = motion_matrix(path, (rows, columns))
+    covariance = noise + motion @ torch.linalg.solve(precision, motion.T)
     c = frames.reshape(-1)
-    return _log_density(c, with_image) - _log_density(c, noise)
+    return _log_density(c, covariance) - _log_density(c, noise)
 
 
 def image_cost(
@@ -135,8 +139,8 @@ def image_cost(
     """
     n_frames, rows, columns = frames.shape
     predicted = motion_matrix(path, (rows, columns)) @ image.reshape(-1)
-    left = frames.reshape(n_frames, -1) - predicted.reshape(n_frames, -1)
-    misfit = 0.5 * (left * torch.linalg.solve(noise_covariance(n_frames), left)).sum()
+    residual = frames.reshape(n_frames, -1) - predicted.reshape(n_frames, -1)
+    misfit = 0.5 * (residual * torch.linalg.solve(noise_covariance(n_frames), residual)).sum()
 
     across, down = (difference_matrix((rows, columns)) @ image.reshape(-1)).reshape(2, -1)
     u = torch.hypot(across, down) / (2 * edge)
@@ -162,5 +166,5 @@ def _log_density(c: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
     """The log density at c of a Gaussian with mean 0, without its constant log(2 pi) term."""
     factor = torch.linalg.cholesky(covariance)
     white = torch.linalg.solve_triangular(factor, c[:, None], upper=False)[:, 0]
-    likelihood: torch.Tensor = -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()
-    return likelihood
+    log_density: torch.Tensor = -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()
+    return log_density

@@ -17,8 +17,9 @@ from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
 
 REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface")
-"""What a `Pipeline` can make of events: an event volume, one of a single bin, or an image of
-times."""
+"""What a `Pipeline` can make of events.
+
+It is an event volume, an event volume of a single bin, or an image of times."""
 
 
 class Classifier(nn.Module):
@@ -182,7 +183,7 @@ class Pipeline(nn.Module):
         self._check_networks()
 
     def _check_transform(self) -> None:
-        """Check the remaining settings: the transform of no events raises their errors."""
+        """Check the settings of the transform, which raises their errors even without events."""
         tnt_coordinates(
             [],
             [],

@@ -30,8 +30,8 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
 
         s(y, x) = max_k<K z_k(y, x) - z_K(y, x)
         (y, x) is a peak:  s > 0
-                           s >  s(y', x')   at the places before it, row by row
-                           s >= s(y', x')   at the places behind it
+                           s >  s(y', x')   at the places before (y, x), row by row
+                           s >= s(y', x')   at the places behind (y, x)
                            for all |y' - y|, |x' - x| <= near
         place = sum of s+ (y', x') over the 3x3 places around the peak / sum of s+
         s+ = max(s, 0)
@@ -55,11 +55,11 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     rows, columns = s.shape
     side = 2 * near + 1
     padded = F.pad(s[None, None], [near] * 4, value=-torch.inf)
-    around = F.unfold(padded, side).reshape(side * side, rows, columns)
-    middle = side * side // 2
-    is_peak = (s > 0) & (around[:middle] < s).all(0) & (around[middle + 1 :] <= s).all(0)
+    windows = F.unfold(padded, side).reshape(side * side, rows, columns)
+    n_before = side * side // 2  # places of a window before its middle
+    is_peak = (s > 0) & (windows[:n_before] < s).all(0) & (windows[n_before + 1 :] <= s).all(0)
     probabilities = torch.softmax(z, 0)
-    found = []
+    objects = []
     for row, column in is_peak.nonzero().tolist():
         ys = torch.arange(max(0, row - 1), min(rows, row + 2))
         xs = torch.arange(max(0, column - 1), min(columns, column + 2))
@@ -68,11 +68,11 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
         place_x = float((weights.sum(0) * xs).sum() / weights.sum())
         place_y = float((weights.sum(1) * ys).sum() / weights.sum())
         probability = float(probabilities[index, row, column])
-        found.append(FoundObject(index, probability, place_x, place_y))
-    return sorted(found, key=lambda one: -one.probability)
+        objects.append(FoundObject(index, probability, place_x, place_y))
+    return sorted(objects, key=lambda found_object: -found_object.probability)
 
 
-class _Seen(NamedTuple):
+class _KnownObject(NamedTuple):
     """An object of an earlier decision.
 
     number : the object's number.
@@ -128,33 +128,37 @@ class ObjectNumbers:
         self.memory_us = memory_us
         self.most = most
         self.room = room
-        self.known: list[_Seen] = []
+        self.known: list[_KnownObject] = []
         self.next_number = 0
         self.decision = 0
 
     def follow(self, time_us: int, places: Sequence[tuple[float, float]]) -> list[int]:
         """The numbers of a decision's objects, given by their (x, y), the likeliest first."""
-        free = [seen for seen in self.known if time_us - seen.time_us <= self.memory_us]
-        present = []
+        free_objects = [known for known in self.known if time_us - known.time_us <= self.memory_us]
+        current_objects = []
         for rank, (x, y) in enumerate(places):
-            near = [seen for seen in free if self._distance(seen, x, y) < 1 and rank < self.most]
+            near = [
+                known
+                for known in free_objects
+                if self._distance(known, x, y) < 1 and rank < self.most
+            ]
             number = self.next_number
             if near:
-                taken = min(near, key=lambda seen: self._preference(seen, x, y))
-                free.remove(taken)
-                number = taken.number
+                nearest = min(near, key=lambda known: self._preference(known, x, y))
+                free_objects.remove(nearest)
+                number = nearest.number
             else:
                 self.next_number += 1
-            present.append(_Seen(number, x, y, time_us, self.decision, rank))
-        earlier = sorted(free, key=lambda seen: (-seen.decision, seen.rank))
-        self.known = (present[: self.most] + earlier)[: self.room]
+            current_objects.append(_KnownObject(number, x, y, time_us, self.decision, rank))
+        earlier = sorted(free_objects, key=lambda known: (-known.decision, known.rank))
+        self.known = (current_objects[: self.most] + earlier)[: self.room]
         self.decision += 1
-        return [seen.number for seen in present]
+        return [known.number for known in current_objects]
 
-    def _preference(self, seen: _Seen, x: float, y: float) -> tuple[float, int, int]:
+    def _preference(self, known: _KnownObject, x: float, y: float) -> tuple[float, int, int]:
         """A key of a known object: an object at (x, y) takes the number with the lowest key."""
-        return self._distance(seen, x, y), -seen.decision, seen.rank
+        return self._distance(known, x, y), -known.decision, known.rank
 
-    def _distance(self, seen: _Seen, x: float, y: float) -> float:
+    def _distance(self, known: _KnownObject, x: float, y: float) -> float:
         """The squared distance, in units of the reach."""
-        return float(((x - seen.x) / self.reach[0]) ** 2 + ((y - seen.y) / self.reach[1]) ** 2)
+        return float(((x - known.x) / self.reach[0]) ** 2 + ((y - known.y) / self.reach[1]) ** 2)

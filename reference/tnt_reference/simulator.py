@@ -68,12 +68,12 @@ def low_pass(
     The corner frequency is f = brightest_hz max(exp(L), darkest): it grows with the luminance. The
     equation is solved by backward differences from frame to frame.
     """
-    followed = [float(light[0])]
-    for (t0, _), (t1, now) in pairwise(zip(times_us, light, strict=True)):
-        f = brightest_hz * max(math.exp(now), darkest)
+    smoothed = [float(light[0])]
+    for (t0, _), (t1, light_now) in pairwise(zip(times_us, light, strict=True)):
+        f = brightest_hz * max(math.exp(light_now), darkest)
         a = 2 * math.pi * f * (t1 - t0) * 1e-6
-        followed.append((followed[-1] + a * now) / (1 + a))
-    return followed
+        smoothed.append((smoothed[-1] + a * light_now) / (1 + a))
+    return smoothed
 
 
 def pixel(
@@ -122,7 +122,7 @@ def _next_crossing(
 ) -> tuple[float, float, int] | None:
     """Time, log luminance and polarity of the event where the light reaches `upper` or `lower`.
 
-    None if the light reaches neither of them until t1.
+    None if the light reaches neither `upper` nor `lower` until t1.
     """
     # The light can be past a threshold already only if the first level was far from the light.
     if light_now >= upper:

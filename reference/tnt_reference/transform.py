@@ -47,9 +47,9 @@ def tnt_coordinates(
 
         kept  iff  tau_i > 0  and  0 <= u_i <= W - 1  and  0 <= v_i <= H - 1
 
-    "Kept" is decided up to BORDER_TOLERANCE: where mathematics puts an event exactly on the border,
-    the rounding of one order of operations or another must not drop it. Such events are put on the
-    border.
+    "Kept" is decided up to BORDER_TOLERANCE. If an event lies exactly on the border in exact
+    arithmetic, the rounding of one order of operations or another must not drop it. Such events are
+    put on the border.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def tnt_coordinates(
     device = events.dt.device
 
     if isinstance(landmark, str):
-        centred_on = landmarks.landmark(
+        centres = landmarks.landmark(
             landmark, t, x, y, start_us=start_us, window_us=window_us, sensor=sensor, grid=grid
         )  # (N, 2)
     else:
-        centred_on = landmarks.given_landmark(landmark, n_events)  # (N, 2)
-    offset = to_grid(events.pixels, sensor, grid) - centred_on  # (N, 2)
+        centres = landmarks.given_landmark(landmark, n_events)  # (N, 2)
+    offset = to_grid(events.pixels, sensor, grid) - centres  # (N, 2)
     if remove_flow:
         flow = landmarks.fitted_flow(
             t, x, y, start_us=start_us, window_us=window_us, sensor=sensor, grid=grid
@@ -101,12 +101,12 @@ def tnt_coordinates(
         offset = offset - flow * window_fraction(events.dt, window_us)[:, None]
 
     tau = tnt_time(events.dt, window_us, t_max)  # (N,)
-    defined = events.inside & (tau > 0)
-    # Divide by 1 where the quotient is not wanted: dividing by 0 and masking the result afterwards
+    is_defined = events.inside & (tau > 0)
+    # Divide by 1 where the quotient is not wanted. To divide by 0 and mask the result afterwards
     # would still put NaN into the gradients (0 times infinity).
-    uv = offset / torch.where(defined, tau, 1.0)[:, None] + image_centre(grid, device)  # (N, 2)
+    uv = offset / torch.where(is_defined, tau, 1.0)[:, None] + image_centre(grid, device)  # (N, 2)
     last_pixel = torch.tensor(grid, dtype=torch.float64, device=device) - 1  # (2,)
     on_grid = uv.clamp(torch.zeros_like(last_pixel), last_pixel)  # (N, 2)
-    kept = defined & ((uv - on_grid).abs() <= BORDER_TOLERANCE).all(dim=1)
+    kept = is_defined & ((uv - on_grid).abs() <= BORDER_TOLERANCE).all(dim=1)
     uv = torch.where(kept[:, None], on_grid, uv)
     return TNTCoordinates(uv[:, 0], uv[:, 1], kept)

@@ -35,8 +35,8 @@ def event_volume(
     Parameters
     ----------
     t, x, y, p : columns of N events in arrival order: integer microseconds; sensor pixels; bool,
-        0/1 or -1/+1. Torch tensors or anything `torch.as_tensor` takes. Never modified. Float64 t,
-        x, y that require a gradient get one.
+        0/1 or -1/+1. Each is a torch tensor, or anything that `torch.as_tensor` takes, and is never
+        modified. Float64 t, x, y that require a gradient get one.
     start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are
         ignored. The window's right end lies exactly at bin B - 1.
     sensor, grid : (width, height). Sensor pixels map onto the grid corner to corner.
@@ -59,8 +59,8 @@ def event_volume(
 
     Example
     -------
-    >>> at = dict(start_us=0, window_us=10, sensor=(3, 2), grid=(3, 2), bins=2)
-    >>> event_volume(t=[0, 5], x=[0, 2], y=[0, 1], p=[1, 0], **at).tolist()
+    >>> settings = dict(start_us=0, window_us=10, sensor=(3, 2), grid=(3, 2), bins=2)
+    >>> event_volume(t=[0, 5], x=[0, 2], y=[0, 1], p=[1, 0], **settings).tolist()
     [[[1.0, 0.0, 0.0], [0.0, 0.0, -0.5]], [[0.0, 0.0, 0.0], [0.0, 0.0, -0.5]]]
     """
     grid = check_size("grid", grid)
@@ -173,7 +173,7 @@ def splat(
     shape : (B, H, W).
     """
     points = torch.stack([b, v, u], dim=1)  # (M, 3)
-    lower = points.detach().floor()  # (M, 3); floor, since int() would round a negative up
+    lower = points.detach().floor()  # (M, 3)
     k_upper = points - lower  # (M, 3), k of the upper neighbour
     # It is written as a difference, so that the two derivatives sum to 0 also at whole numbers.
     k_lower = 1 - k_upper  # (M, 3)

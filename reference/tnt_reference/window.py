@@ -134,9 +134,9 @@ def signs(p: Column, n_events: int) -> torch.Tensor:
     if len(polarity) != n_events:
         raise ValueError(f"`p` must be as long as `t`: got {len(polarity)} and {n_events}")
     values = polarity.double()  # before any arithmetic: uint8 times -1 would wrap
-    wrong = (values != 0) & (values.abs() != 1)
-    if wrong.any():
-        i = int(wrong.nonzero()[0])
+    is_wrong = (values != 0) & (values.abs() != 1)
+    if is_wrong.any():
+        i = int(is_wrong.nonzero()[0])
         raise ValueError(f"`p` must be bool, 0/1 or -1/+1, got {polarity[i].item()} at event {i}")
     return torch.where(values > 0, 1.0, -1.0).double()
 
@@ -170,9 +170,9 @@ def check_same_length(**columns: torch.Tensor) -> None:
 
 def check_range(name: str, column: torch.Tensor, low: float, high: float) -> None:
     """Raise a ValueError if a number is not finite and in [low, high]."""
-    right = (column >= low) & (column <= high) & column.isfinite()
-    if not right.all():
-        i = int((~right).nonzero()[0])
+    is_valid = (column >= low) & (column <= high) & column.isfinite()
+    if not is_valid.all():
+        i = int((~is_valid).nonzero()[0])
         rule = "finite" if high == math.inf else f"in [{low}, {high}], inside the sensor"
         raise ValueError(f"`{name}` must be {rule}, got {column[i].item()} at event {i}")
 

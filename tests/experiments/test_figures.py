@@ -31,7 +31,7 @@ def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_p
 
 def test_a_convolution_is_equivariant_to_what_the_figure_says(tmp_path):
     errors = {
-        case.words: figure_groups.compared(case, figure_groups.counted())[2]
+        case.title: figure_groups.compared(case, figure_groups.counted())[2]
         for case in figure_groups.CASES
     }
     differ = {words for words, error in errors.items() if error > 1e-12}

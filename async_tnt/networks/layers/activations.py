@@ -1,4 +1,4 @@
-"""Activations: functions that are applied to each number by itself."""
+"""Activations: functions of one number, applied to each number of a map."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from async_tnt.networks.layers.operation import (
 from async_tnt.networks.layers.steps import Map, StepList
 
 
-def _relu_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = made.step_to_change(layer, inputs[0])
+def _relu_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    step = step_list.step_to_change(layer, inputs[0])
     step.low = 0.0
     return step.output
 
 
-def _leaky_relu_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = made.step_to_change(layer, inputs[0])
+def _leaky_relu_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    step = step_list.step_to_change(layer, inputs[0])
     step.slopes[:] = layer["slope"]
     return step.output
 
@@ -34,9 +34,9 @@ def _prelu_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -
     return inputs[0]
 
 
-def _prelu_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = made.step_to_change(layer, inputs[0])
-    step.slopes[:] = made.tensor(layer, "slope")
+def _prelu_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    step = step_list.step_to_change(layer, inputs[0])
+    step.slopes[:] = step_list.tensor(layer, "slope")
     return step.output
 
 
@@ -48,38 +48,41 @@ def _clip_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) ->
     return inputs[0]
 
 
-def _clip_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = made.step_to_change(layer, inputs[0])
+def _clip_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    step = step_list.step_to_change(layer, inputs[0])
     step.low = -np.inf if layer["low"] is None else layer["low"]
     step.high = np.inf if layer["high"] is None else layer["high"]
     return step.output
 
 
-def _softshrink_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _softshrink_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     """Add x - clip(x, -lambda, lambda), which is exactly 0 between -lambda and lambda."""
     (source,) = inputs
-    limited = made.copy(source, source.like())
+    limited = step_list.copy(source, source.like())
     step = limited.writers[0]
     step.low = -layer["lambd"]
     step.high = layer["lambd"]
     signs = np.outer([1, -1], np.ones(source.channels))
-    return made.add(SUM, [source, limited], source.like(), signs, np.zeros(source.channels))
+    return step_list.add(SUM, [source, limited], source.like(), signs, np.zeros(source.channels))
 
 
 def _function_steps(name: str) -> StepsRule:
-    """The steps of a compiled function, by its name in `kernels.network.functions.FUNCTIONS`."""
-    applied = list(FUNCTIONS).index(name)
+    """The rule of the steps of a compiled function.
 
-    def steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    The function is given by its name in `kernels.network.functions.FUNCTIONS`.
+    """
+    function = list(FUNCTIONS).index(name)
+
+    def steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs
         zeros = np.zeros(source.channels)
-        return made.add(FUNCTION, inputs, source.like(), [], zeros, applied=applied)
+        return step_list.add(FUNCTION, inputs, source.like(), [], zeros, function=function)
 
     return steps
 
 
-def _hardsigmoid_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = made.step_to_change(layer, inputs[0], linear=True)
+def _hardsigmoid_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    step = step_list.step_to_change(layer, inputs[0], linear=True)
     step.weights = step.weights / np.float32(6)
     step.bias = step.bias / np.float32(6) + np.float32(0.5)
     step.low = 0.0
@@ -88,7 +91,7 @@ def _hardsigmoid_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
 
 
 def _function(name: str, description: str) -> Operation:
-    """A compiled function without parameters."""
+    """The operation of a compiled function without parameters."""
     return Operation(
         name=name,
         description=description,

@@ -31,7 +31,7 @@ def compare(
     shape : shape of a volume, (C, H, W).
     tolerance : how much numbers may differ, as a share of the largest number for the same volume. A
         volume's largest number counts as at least 0.01, and as at least 1 % of the largest number
-        for any volume: smaller logits make no difference to a softmax.
+        for any volume, because smaller logits make no difference to a softmax.
 
     Raises
     ------
@@ -40,13 +40,13 @@ def compare(
     """
     pairs = [_numbers_of_both(original, layers, volume) for volume in volumes_to_compare(shape)]
     largest = [_largest_finite(expected) for expected, _ in pairs]
-    for (expected, found), own in zip(pairs, largest, strict=True):
-        bound = tolerance * max(own, max(largest) / 100, 0.01)
-        if not np.allclose(found, expected, rtol=0.0, atol=bound, equal_nan=True):
-            difference = np.abs(found - expected).max()
+    for (expected, computed), own_largest in zip(pairs, largest, strict=True):
+        bound = tolerance * max(own_largest, max(largest) / 100, 0.01)
+        if not np.allclose(computed, expected, rtol=0.0, atol=bound, equal_nan=True):
+            difference = np.abs(computed - expected).max()
             raise ValueError(
                 f"its layers compute other numbers (by {difference:.2g}, where the largest is "
-                f"{own:.2g})"
+                f"{own_largest:.2g})"
             )
 
 
@@ -56,14 +56,14 @@ def _numbers_of_both(
     """The numbers of the network, and those of its layers, as vectors of one length."""
     try:
         expected = original(volume.copy())  # a copy, as the network may change it in place
-    except Exception as error:  # of any type
+    except Exception as error:  # a network may raise errors of any type
         raise ValueError(
             f"it fails on a volume of shape {volume.shape}: {one_line(error)}"
         ) from None
-    found = layers(volume).reshape(-1)
-    if expected.size != found.size:
-        raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {found.size}")
-    return expected.reshape(-1), found
+    computed = layers(volume).reshape(-1)
+    if expected.size != computed.size:
+        raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {computed.size}")
+    return expected.reshape(-1), computed
 
 
 def _largest_finite(numbers: np.ndarray) -> float:
@@ -73,16 +73,16 @@ def _largest_finite(numbers: np.ndarray) -> float:
 
 
 def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
-    """Volumes (C, H, W), float32.
+    """The volumes on which a network and its layers are compared, (C, H, W), float32.
 
-    Two volumes hold normal numbers, and two hold sparse counts. One holds sparse counts times 100,
-    one only negative numbers, and one only zeros. The last one holds counts that are dense in one
-    corner, like the events of an object.
+    Two volumes hold normally distributed numbers, and two hold sparse counts. One holds sparse
+    counts times 100, one only negative numbers, and one only zeros. The last one holds counts that
+    are dense in one corner, like the events of an object.
     """
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(2, *shape)).astype(np.float32)
-    sizes = rng.poisson(0.05, (2, *shape))
-    counts = (sizes * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
+    absolute_counts = rng.poisson(0.05, (2, *shape))
+    counts = (absolute_counts * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
     yield from normal
     yield from counts
     yield 100 * counts[0]

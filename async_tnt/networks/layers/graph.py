@@ -44,7 +44,7 @@ A program may set this limit and `MAX_PRODUCTS` before it makes or loads a model
 """
 
 MAX_PRODUCTS = 1 << 37
-"""The most multiplications of one pass: some seconds on one core.
+"""The most multiplications of one pass. They take some seconds on one core.
 
 An addition in a pooling counts as 16 multiplications. At 640 x 480 VGG16 has 2**36.5."""
 
@@ -54,7 +54,7 @@ PRODUCTS_OF_AN_ADDITION = 16
 NUMBERS_OF_A_TAP = 100
 """How many float32 numbers take as much memory as one tap of a window while a program is made.
 
-A tap then lies in Python's lists. The number was measured."""
+A tap takes so much because it lies in Python's lists then. The number was measured."""
 
 Network = Mapping[str, Sequence[Layer]]
 """CLASSIFIER or REGRESSOR -> layers."""
@@ -86,6 +86,7 @@ def layer_shapes(
             checked.add(name, layer)
         except ValueError as error:
             raise ValueError(f"layer {name!r} ({layer['op']}): {error}") from None
+    # after the loop, `name` is the name of the last layer, which is the output
     if not partial and name in checked.flat_maps:
         raise ValueError(
             f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it"
@@ -181,16 +182,18 @@ class _CheckedLayers:
     def _is_flat_map(self, layer: Layer, operation: Operation, inputs: list[Shape]) -> bool:
         """Whether the layer's output is a flattened map.
 
-        A ValueError if the layer has a flattened map as input, but cannot read it.
+        A ValueError if an input of the layer is a flattened map, but the operation cannot read one.
         """
         if layer["op"] == "flatten" and len(inputs[0]) == 3:
             channels = inputs[0][:1]
             return self.shapes[layer["name"]] != channels
-        read = self.flat_maps.intersection(layer["inputs"])
-        if not read or operation.flat_maps == "read":
+        flat_inputs = self.flat_maps.intersection(layer["inputs"])
+        if not flat_inputs or operation.flat_maps == "read":
             return False
         if operation.flat_maps == "refused":
-            raise ValueError(f"{read.pop()!r} is a flattened map: a dense layer belongs between")
+            raise ValueError(
+                f"{flat_inputs.pop()!r} is a flattened map: a dense layer belongs between"
+            )
         return True
 
 
@@ -245,10 +248,13 @@ def _cost(
     output: Shape,
     weights: Mapping[str, Shape],
 ) -> tuple[int, int]:
-    """The numbers and the multiplications of a layer, which MAX_NUMBERS and MAX_PRODUCTS limit."""
+    """How many numbers a layer has, and how many multiplications.
+
+    MAX_NUMBERS and MAX_PRODUCTS limit the sums over all layers.
+    """
     source = inputs[0]
     n_numbers = math.prod(output) + sum(map(math.prod, weights.values()))
-    n_products_each = len(inputs)  # for each number of the output
+    n_products_each = len(inputs)  # multiplications for each number of the output
     if "padding" in layer:
         top, left, bottom, right = layer["padding"]
         channels, rows, columns = source
@@ -261,8 +267,10 @@ def _cost(
         n_numbers += NUMBERS_OF_A_TAP * n_taps
         if operation.own_weights:
             n_places = math.prod(output[1:])
-            # a tap has a weight for each channel, and 16 numbers in the arrays they are made from
+            # A tap has a weight for each channel. It also has 16 numbers in the arrays from which
+            # these weights are computed.
             n_numbers += n_taps * n_places * (output[0] + 16)
     if "weight" in weights:
         n_products_each = math.prod(weights["weight"][1:])
+    # a layer takes at least as long as it takes to read its input
     return n_numbers, max(math.prod(output) * n_products_each, math.prod(source))

@@ -22,13 +22,13 @@ def _depth_to_space_shape(layer: Layer, inputs: list[Shape], weights: dict[str, 
     return channels // block**2, block * rows, block * columns
 
 
-def _depth_to_space_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _depth_to_space_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
     if len(source.writers) > 1:  # a SPREAD needs an input that one step computes
-        source = made.copy(source, source.like())
-    output = made.output_of(layer)
+        source = step_list.copy(source, source.like())
+    output = step_list.output_of(layer)
     zeros = np.zeros(output.channels)
-    return made.add(SPREAD, [source], output, [], zeros, block=layer["block"])
+    return step_list.add(SPREAD, [source], output, [], zeros, block=layer["block"])
 
 
 def _add_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
@@ -37,10 +37,10 @@ def _add_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> 
     return inputs[0]
 
 
-def _add_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _add_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     first = inputs[0]
     ones = np.ones((len(inputs), first.channels))
-    return made.add(SUM, inputs, first.like(), ones, np.zeros(first.channels))
+    return step_list.add(SUM, inputs, first.like(), ones, np.zeros(first.channels))
 
 
 def _concat_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
@@ -51,12 +51,12 @@ def _concat_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) 
     return sum(shape[0] for shape in inputs), *inputs[0][1:]
 
 
-def _concat_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _concat_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     n_channels = sum(source.channels for source in inputs)
     output = Map(n_channels, inputs[0].rows, inputs[0].columns)
     channel = 0
     for source in inputs:
-        made.copy(source, output, channel)
+        step_list.copy(source, output, channel)
         channel += source.channels
     return output
 
@@ -71,8 +71,8 @@ def _centroid_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]
     return (2,)
 
 
-def _no_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """Add no step: what reads the layer's output reads the map of its input."""
+def _no_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    """Add no step. Steps that need the layer's output read the map of its input instead."""
     return inputs[0]
 
 

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 MAX_SIDE = 1 << 15
-"""The limit of the sides of a map, and of the whole numbers among a layer's parameters.
-
-All of them must be below it."""
+"""The sides of a map, and whole numbers among a layer's parameters, must be below this limit."""
 
 Layer = Mapping[str, Any]
-"""A layer: `op`, `name`, `inputs`, the operation's parameters, and `weights` where it has some."""
+"""A layer: `op`, `name`, `inputs`, the operation's parameters, and `weights` if it has weights."""
 
 Shape = tuple[int, ...]
 """The shape of what a layer computes: (C, H, W) of a map, or (N,) of a vector."""
@@ -28,12 +26,13 @@ class Check:
 
 
 def _is_whole(value: Any, low: int) -> bool:
+    # True and False are numbers of type int for Python
     return isinstance(value, int) and not isinstance(value, bool) and low <= value < MAX_SIDE
 
 
 def _is_number(value: Any) -> bool:
     if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 1 << 63
+        return abs(value) < 1 << 63  # it fits into an int64
     return isinstance(value, float) and not math.isnan(value)
 
 

@@ -32,21 +32,21 @@ def _conv_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) ->
     return n_filters, *sides
 
 
-def _conv_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _conv_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     """Add the one step of a convolution; returns its output.
 
     The step is a SUM for a depthwise convolution of one filter a channel, otherwise a MIX.
     """
     channels = inputs[0].channels
-    weight = made.tensor(layer, "weight")
+    weight = step_list.tensor(layer, "weight")
     n_filters = len(weight)
-    bias = made.tensor_or(layer, "bias", 0.0, n_filters)
-    output = made.output_of(layer)
+    bias = step_list.tensor_or(layer, "bias", 0.0, n_filters)
+    output = step_list.output_of(layer)
     window = {**window_of(layer), "dilation": tuple(layer["dilation"])}
     if layer["groups"] == n_filters == channels:
         taps = weight.reshape(n_filters, -1).T
-        return made.add(SUM, inputs, output, taps, bias, **window)
-    return made.add(MIX, inputs, output, weight, bias, groups=layer["groups"], **window)
+        return step_list.add(SUM, inputs, output, taps, bias, **window)
+    return step_list.add(MIX, inputs, output, weight, bias, groups=layer["groups"], **window)
 
 
 # -- dense layer -----------------------------------------------------------------------------------
@@ -63,28 +63,28 @@ def _dense_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -
     return (n_units,)
 
 
-def _dense_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _dense_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     """Add the steps of a dense layer; returns the output of the last one.
 
     If the input is one place, there is one step. If the input is a flattened map, a first step
     computes what each place adds to the output, and further steps sum this over all places.
     """
     (source,) = inputs
-    weight = made.tensor(layer, "weight")
+    weight = step_list.tensor(layer, "weight")
     n_units = len(weight)
-    bias = made.tensor_or(layer, "bias", 0.0, n_units)
-    of_places = weight.reshape(n_units, source.channels, source.rows, source.columns)
+    bias = step_list.tensor_or(layer, "bias", 0.0, n_units)
+    place_weights = weight.reshape(n_units, source.channels, source.rows, source.columns)
     if source.sides == (1, 1):
-        return made.add(MIX, inputs, Map(n_units, 1, 1), of_places, bias)
-    parts = made.add(
+        return step_list.add(MIX, inputs, Map(n_units, 1, 1), place_weights, bias)
+    parts = step_list.add(
         MIX,
         inputs,
         Map(n_units, source.rows, source.columns),
-        of_places.transpose(2, 3, 0, 1),
+        place_weights.transpose(2, 3, 0, 1),
         np.zeros(n_units),
         own_weights=True,
     )
-    return made.sum_of_places(parts, 1.0, bias)
+    return step_list.sum_of_places(parts, 1.0, bias)
 
 
 # -- batch norm ------------------------------------------------------------------------------------
@@ -96,18 +96,21 @@ def _batch_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shap
     return inputs[0]
 
 
-def _batch_norm_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """Scale and shift the weights of the step before: a batch norm has no step of its own."""
-    n = len(made.tensor(layer, "mean"))
-    mean = made.tensor(layer, "mean").astype(np.float64)
-    variance = made.tensor(layer, "variance").astype(np.float64)
-    weight = made.tensor_or(layer, "weight", 1.0, n).astype(np.float64)
-    bias = made.tensor_or(layer, "bias", 0.0, n).astype(np.float64)
+def _batch_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    """Scale the weights of the step before, and scale and shift its bias.
+
+    So a batch norm has no step of its own.
+    """
+    n = len(step_list.tensor(layer, "mean"))
+    mean = step_list.tensor(layer, "mean").astype(np.float64)
+    variance = step_list.tensor(layer, "variance").astype(np.float64)
+    weight = step_list.tensor_or(layer, "weight", 1.0, n).astype(np.float64)
+    bias = step_list.tensor_or(layer, "bias", 0.0, n).astype(np.float64)
     factor = weight / np.sqrt(variance + layer["epsilon"])
 
-    step = made.step_to_change(layer, inputs[0], linear=True)
-    of_weights = factor if step.kind == SUM else factor[:, None, None, None]
-    step.weights = (step.weights * of_weights).astype(np.float32)
+    step = step_list.step_to_change(layer, inputs[0], linear=True)
+    weight_factor = factor if step.kind == SUM else factor[:, None, None, None]
+    step.weights = (step.weights * weight_factor).astype(np.float32)
     step.bias = ((step.bias - mean) * factor + bias).astype(np.float32)
     return step.output
 

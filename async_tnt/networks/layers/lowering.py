@@ -27,28 +27,28 @@ def steps_of(
     the frame that its readers need. If the last layer is a `heatmap_centroid`, the output is its
     heatmap: the centroid itself is no step.
     """
-    steps, output = _made_steps(layers, volume, tensors)
+    steps, output = _steps_of_all_layers(layers, volume, tensors)
     steps = _without_unused(steps, (volume, output))
     _give_frames(steps)
     return steps, output
 
 
-def _made_steps(
+def _steps_of_all_layers(
     layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
 ) -> tuple[list[Step], Map]:
     """The steps of all layers, and the map of the last layer's output."""
     tensor_shapes = {name: w.shape for name, w in tensors.items()}
     shapes = layer_shapes(layers, (volume.channels, *volume.sides), tensor_shapes)
-    made = StepList(shapes, _count_readers(layers), tensors)
+    step_list = StepList(shapes, _count_readers(layers), tensors)
     maps = {VOLUME: volume}
     for layer in layers:
-        made.name = layer["name"]
+        step_list.name = layer["name"]
         inputs = [maps[name] for name in layer["inputs"]]
-        maps[layer["name"]] = OPERATIONS[layer["op"]].steps(made, layer, inputs)
+        maps[layer["name"]] = OPERATIONS[layer["op"]].steps(step_list, layer, inputs)
     output = maps[layers[-1]["name"]]
     if output is volume:
-        output = made.copy(volume, volume.like())
-    return made.steps, output
+        output = step_list.copy(volume, volume.like())
+    return step_list.steps, output
 
 
 def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
@@ -59,11 +59,11 @@ def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
     origins: dict[str, str] = {}  # flatten -> the layer whose numbers it has
     readers: Counter[str] = Counter()
     for layer in layers:
-        read = [origins.get(name, name) for name in layer["inputs"]]
+        sources = [origins.get(name, name) for name in layer["inputs"]]
         if layer["op"] == "flatten":
-            origins[layer["name"]] = read[0]
+            origins[layer["name"]] = sources[0]
         else:
-            readers.update(read)
+            readers.update(sources)
     output: str = layers[-1]["name"]
     readers[origins.get(output, output)] += 1
     for name, origin in origins.items():
@@ -74,48 +74,51 @@ def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
 def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
     """The steps whose maps are read by a later step or are in `keep`.
 
-    A pooling may leave the last rows and columns of its input unread. They are not computed if no
-    other step reads them.
+    A pooling may leave the last rows and columns of its input unread. If no other step reads these
+    rows and columns, they are not computed.
     """
-    needed: dict[Map, tuple[int, int]] = {}  # map -> how many of its rows and columns are read
-    used = []
+    # map -> how many of its rows and columns are read
+    needed_sides: dict[Map, tuple[int, int]] = {}
+    used_steps_reversed = []
+    # from the last step to the first, so that all readers of a map come before its writers
     for step in reversed(steps):
         if step.output not in keep:
-            if step.output not in needed:
+            if step.output not in needed_sides:
                 continue
-            step.rows, step.columns = needed[step.output]
+            step.rows, step.columns = needed_sides[step.output]
         rows, columns = step.reads
-        for part in step.inputs:
-            rows_before, columns_before = needed.get(part, (1, 1))
-            needed[part] = (
-                min(max(rows_before, rows), part.rows),
-                min(max(columns_before, columns), part.columns),
+        for input_map in step.inputs:
+            rows_before, columns_before = needed_sides.get(input_map, (1, 1))
+            needed_sides[input_map] = (
+                min(max(rows_before, rows), input_map.rows),
+                min(max(columns_before, columns), input_map.columns),
             )
-        used.append(step)
-    return used[::-1]
+        used_steps_reversed.append(step)
+    return used_steps_reversed[::-1]
 
 
 def _give_frames(steps: list[Step]) -> None:
     """Give each map the frame that its readers need; the inputs of a step get the same frame."""
     for step in steps:
         rows, columns = step.reads
-        for part in step.inputs:
-            below = max(0, rows - part.rows)
-            right = max(0, columns - part.columns)
-            _widen(part, (*step.padding, below, right))
+        for input_map in step.inputs:
+            below = max(0, rows - input_map.rows)
+            right = max(0, columns - input_map.columns)
+            _widen(input_map, (*step.padding, below, right))
 
-    has_changed = True
-    while has_changed:
-        has_changed = False
+    # A map may be an input of several steps. So a wider frame of one map may widen further frames.
+    has_widened = True
+    while has_widened:
+        has_widened = False
         for step in steps:
-            for part in step.inputs:
-                for other in step.inputs:
-                    has_changed |= _widen(part, other.frame)
+            for input_map in step.inputs:
+                for other_input in step.inputs:
+                    has_widened |= _widen(input_map, other_input.frame)
 
 
-def _widen(part: Map, frame: Sequence[int]) -> bool:
+def _widen(widened_map: Map, frame: Sequence[int]) -> bool:
     """Make a map's frame at least as wide as `frame`; returns whether that changed anything."""
-    before = part.frame
+    before = widened_map.frame
     top, left, bottom, right = map(max, before, frame)
-    part.frame = (top, left, bottom, right)
-    return part.frame != before
+    widened_map.frame = (top, left, bottom, right)
+    return widened_map.frame != before

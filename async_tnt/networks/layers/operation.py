@@ -19,13 +19,13 @@ StepsRule = Callable[[StepList, Layer, list[Map]], Map]
 """Steps so far, layer, its inputs; adds the layer's steps, and returns the map of its output."""
 
 PlacesRule = Callable[[Layer, int, Axis], Axis]
-"""Layer, 0 for rows or 1 for columns, this axis of its first input; returns the output's axis."""
+"""Layer, 0 for rows or 1 for columns, that axis of the first input; returns the output's axis."""
 
 KernelRule = Callable[[Layer, Shape, Shape], Sequence[int]]
 """Layer, shape of its first input, shape of its output; returns the size of the output's windows.
 
-The size is how many rows and columns of the input a place of the output may depend on. It is empty
-if a place depends on one place only."""
+The size says how many rows and columns of the input a place of the output may depend on. It is
+empty if each place of the output depends on one place only."""
 
 
 def kernel_of(layer: Layer, source: Shape, output: Shape) -> Sequence[int]:
@@ -52,7 +52,7 @@ class Operation:
         same index, so the order stays. "refused": it must not have such an input.
     places : the rule that says where the places of the output lie.
     kernel : the rule that says how much of the input a place of the output depends on.
-    own_weights : whether each place has weights of its own, which take memory.
+    own_weights : whether each place has weights of its own. They take memory.
     """
 
     name: str

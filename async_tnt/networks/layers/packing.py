@@ -20,7 +20,7 @@ class PackedWeights:
     numbers : float32, flat.
     groups : how many groups of filters have blocks of their own.
     place_weights : how many numbers lie between the weights of one place and those of the next; 0
-        where all places share the weights.
+        if all places share the weights.
     """
 
     numbers: np.ndarray
@@ -31,8 +31,8 @@ class PackedWeights:
 def packed_weights(step: Step) -> PackedWeights:
     """The weights of a step, packed."""
     if step.own_weights:
-        of_places = _weights_of_places(step)
-        return PackedWeights(of_places.reshape(-1), place_weights=of_places.shape[1])
+        numbers = _weights_of_places(step)
+        return PackedWeights(numbers.reshape(-1), place_weights=numbers.shape[1])
     if step.kind != MIX:
         taps = step.weights.reshape(1, -1, len(step.bias))
         return PackedWeights(_rows(taps, step)[0])
@@ -47,10 +47,10 @@ def packed_weights(step: Step) -> PackedWeights:
 def _weights_of_places(step: Step) -> np.ndarray:
     """The packed weights of each place that is computed, (places, numbers)."""
     computed = step.weights[: step.rows, : step.columns]
-    of_places = computed.reshape(-1, *step.weights.shape[2:])
+    place_weights = computed.reshape(-1, *step.weights.shape[2:])
     if step.kind == MIX:
-        return np.stack([_blocks(w, step) for w in of_places])
-    return _rows(of_places, step)
+        return np.stack([_blocks(w, step) for w in place_weights])
+    return _rows(place_weights, step)
 
 
 def _rows(w: np.ndarray, step: Step) -> np.ndarray:
@@ -59,9 +59,9 @@ def _rows(w: np.ndarray, step: Step) -> np.ndarray:
     They are packed from weights (places, taps, C).
     """
     n_places, n_taps, channels = w.shape
-    size = round_up(channels, LANES)
-    packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)
-    rows = packed[:, :-LANES].reshape(n_places, -1, size)  # a view: it fills `packed`
+    row_size = round_up(channels, LANES)
+    packed = np.zeros((n_places, (n_taps + 2) * row_size + LANES), np.float32)
+    rows = packed[:, :-LANES].reshape(n_places, -1, row_size)  # a view: it fills `packed`
     rows[:, :n_taps, :channels] = w
     rows[:, n_taps, :channels] = step.bias
     rows[:, n_taps + 1, :channels] = step.slopes
@@ -70,30 +70,32 @@ def _rows(w: np.ndarray, step: Step) -> np.ndarray:
 
 
 def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
-    """Filters (F, C) or (F, C, kernel_y, kernel_x) in blocks of one or two registers.
+    """The blocks of filters (F, C) or (F, C, kernel_y, kernel_x), one after another.
+
+    Each block has one or two registers of filters.
 
     Parameters
     ----------
     w : some of the filters of the step.
     first : the index, among the step's filters, of the first filter in `w`.
     """
-    # (K, F): the K weights of a filter, tap after tap, and channel after channel in each tap
-    products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
-    parts = []
+    # (K, F): a column holds the K weights of a filter, tap after tap, channel after channel
+    columns = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
+    blocks = []
     for f in range(0, len(w), 2 * LANES):
-        n = min(len(w) - f, 2 * LANES)
-        of_step = slice(first + f, first + f + n)
-        block = np.zeros((len(products) + 2, round_up(n, LANES)), np.float32)
-        block[:-2, :n] = products[:, f : f + n]
-        block[-2, :n] = step.bias[of_step]
-        block[-1, :n] = step.slopes[of_step]
-        parts.append(block.reshape(-1))
-        parts.append(_limits(step))
-    return np.concatenate(parts)
+        n_filters = min(len(w) - f, 2 * LANES)
+        filters = slice(first + f, first + f + n_filters)
+        block = np.zeros((len(columns) + 2, round_up(n_filters, LANES)), np.float32)
+        block[:-2, :n_filters] = columns[:, f : f + n_filters]
+        block[-2, :n_filters] = step.bias[filters]
+        block[-1, :n_filters] = step.slopes[filters]
+        blocks.append(block.reshape(-1))
+        blocks.append(_limits(step))
+    return np.concatenate(blocks)
 
 
 def _limits(step: Step) -> np.ndarray:
-    """The limits of the step's results, then zeros, (LANES,)."""
+    """The two limits of the step's results, then zeros, (LANES,)."""
     return np.pad(np.array([step.low, step.high], np.float32), (0, LANES - 2))
 
 
@@ -103,7 +105,7 @@ def round_up(n: int, multiple: int) -> int:
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:
-    """n zeros that begin where a cache line begins.
+    """An array of n zeros whose memory begins where a cache line begins.
 
     A register that lies across two cache lines is read half as fast.
     """

@@ -34,18 +34,20 @@ def axis_through_window(layer: Layer, k: int, axis: Axis) -> Axis:
     """
     if "kernel" not in layer:
         return axis
+    # from the first to the last tap of a window
     reach = (layer["kernel"][k] - 1) * layer.get("dilation", (1, 1))[k]
     before = layer["padding"][k]
     after = layer["padding"][2 + k]
     stride = layer["stride"][k]
     n = (axis.n + before + after - reach - 1) // stride + 1
-    return Axis(axis.first + axis.distance * (reach / 2 - before), axis.distance * stride, n)
+    first = axis.first + axis.distance * (reach / 2 - before)  # the middle of the first window
+    return Axis(first, axis.distance * stride, n)
 
 
 def divided_axis(layer: Layer, k: int, axis: Axis) -> Axis:
     """The axis of the output of a pooling whose places divide the input evenly.
 
-    Their number is the layer's `size`, or 1 if the layer has none.
+    The number of places is the layer's `size`, or 1 if the layer has no `size`.
     """
     n = layer.get("size", (1, 1))[k]
     first = axis.first + axis.distance * (axis.n / n - 1) / 2

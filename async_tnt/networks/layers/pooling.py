@@ -32,37 +32,44 @@ def _pool_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) ->
     return inputs[0][0], *sides
 
 
-def _max_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _max_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
     if any(layer["padding"]):
-        # the padding must never be the largest: a copy of the input has a frame of -inf
-        source = made.copy(source, source.like(fill=-np.inf))
+        # The padding must never be the maximum. So the pooling reads a copy of the input in a frame
+        # of -inf.
+        source = step_list.copy(source, source.like(fill=-np.inf))
     zeros = np.zeros(source.channels)
-    return made.add(MAXIMUM, [source], made.output_of(layer), [], zeros, **window_of(layer))
+    return step_list.add(
+        MAXIMUM, [source], step_list.output_of(layer), [], zeros, **window_of(layer)
+    )
 
 
-def _average_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _average_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     rows, columns = layer["kernel"]
-    return _sums_of_windows(made, layer, inputs, 1.0 / (rows * columns))
+    return _sums_of_windows(step_list, layer, inputs, 1.0 / (rows * columns))
 
 
-def _sum_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    return _sums_of_windows(made, layer, inputs, 1.0)
+def _sum_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    return _sums_of_windows(step_list, layer, inputs, 1.0)
 
 
-def _sums_of_windows(made: StepList, layer: Layer, inputs: list[Map], factor: float) -> Map:
+def _sums_of_windows(step_list: StepList, layer: Layer, inputs: list[Map], factor: float) -> Map:
+    """Add the sum of each window, times a factor; returns the map of the sums."""
     (source,) = inputs
     rows, columns = layer["kernel"]
     zeros = np.zeros(source.channels)
+    # one window over the whole input
     if source.sides == (rows, columns) and not any(layer["padding"]):
-        return made.sum_of_places(source, factor, zeros)
+        return step_list.sum_of_places(source, factor, zeros)
     weights = np.full((rows * columns, source.channels), factor)
-    return made.add(SUM, inputs, made.output_of(layer), weights, zeros, **window_of(layer))
+    return step_list.add(
+        SUM, inputs, step_list.output_of(layer), weights, zeros, **window_of(layer)
+    )
 
 
-def _inside_average_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _inside_average_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
-    output = made.output_of(layer)
+    output = step_list.output_of(layer)
     window = window_of(layer)
     kernel_y, kernel_x = window["kernel"]
     stride_y, stride_x = window["stride"]
@@ -71,7 +78,7 @@ def _inside_average_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) 
     columns = inside_shares(output.columns, source.columns, kernel_x, stride_x, before)
     weights = place_weights(rows, columns, output.channels)
     zeros = np.zeros(output.channels)
-    return made.add(SUM, inputs, output, weights, zeros, own_weights=True, **window)
+    return step_list.add(SUM, inputs, output, weights, zeros, own_weights=True, **window)
 
 
 def _adaptive_pool_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
@@ -88,12 +95,12 @@ def _adaptive_pool_kernel(layer: Layer, source: Shape, output: Shape) -> Sequenc
     ]
 
 
-def _adaptive_average_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _adaptive_average_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
-    output = made.output_of(layer)
+    output = step_list.output_of(layer)
     rows, stride_y, above = adaptive_shares(output.rows, source.rows)
     columns, stride_x, before = adaptive_shares(output.columns, source.columns)
-    return made.add(
+    return step_list.add(
         SUM,
         inputs,
         output,
@@ -111,10 +118,10 @@ def _global_pool_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Sha
     return inputs[0][0], 1, 1
 
 
-def _global_average_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+def _global_average_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
     factor = 1.0 / (source.rows * source.columns)
-    return made.sum_of_places(source, factor, np.zeros(source.channels))
+    return step_list.sum_of_places(source, factor, np.zeros(source.channels))
 
 
 _WINDOW = {"kernel": SIDES, "stride": SIDES, "padding": PADDING}

@@ -66,7 +66,7 @@ class Program:
                 "a network was pickled on a processor with other vector registers: load its model "
                 "instead"
             )
-        # a pickle does not keep this flag
+        # a pickle does not keep the flag that makes an array read-only
         self.arrays.weights.flags.writeable = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Program:
@@ -75,7 +75,7 @@ class Program:
         return replace(self, arrays=copy.deepcopy(self.arrays, memo))
 
     def prepare(self) -> None:
-        """Compile the kernels of `run`, so that no call of it waits for that."""
+        """Compile the kernels of `run`, so that no call of `run` waits for the compiler."""
         prepare(set_input, forward)
 
     def run(self, volume: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ class _Arena:
 
     def take(self, n: int) -> int:
         first = self.size
-        self.size += round_up(n, 16)
+        self.size += round_up(n, 16)  # 16 numbers of 4 bytes fill a cache line
         return first
 
 
@@ -156,8 +156,8 @@ class _MapsLayout:
     Parameters
     ----------
     volume : the network's input.
-    planes : where the volume lies as (C, H, W).
-    firsts : map -> where its place (0, 0) begins; the volume is the first one.
+    planes : where the volume lies as (C, H, W), as a kernel receives it.
+    firsts : map -> where the map's place (0, 0) begins. The first key is the volume.
     empty : how many numbers lie from a step's map to the same map of an empty window.
     size : how many numbers the array has.
     """
@@ -169,20 +169,20 @@ class _MapsLayout:
     size: int
 
     def empty_maps(self) -> np.ndarray:
-        """The array: zeros, but in a map with a `fill`, and in its frame, this number."""
+        """A new array `maps`. Each map and its frame hold the map's `fill`, which is mostly 0."""
         values = aligned(self.size, np.float32)
-        for part, first in self.firsts.items():
-            if part.fill:
-                begin = first - part.origin
-                values[begin : begin + part.size] = part.fill
+        for layer_map, first in self.firsts.items():
+            if layer_map.fill:
+                begin = first - layer_map.origin
+                values[begin : begin + layer_map.size] = layer_map.fill
         return values
 
 
 def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
     """The layout of the volume and of all maps that steps compute.
 
-    Maps that are added to each other have the same frame, that of the widest padding. So they may
-    need more memory than `layer_shapes` counted.
+    Maps that are added to each other have the same frame, which is as wide as the widest of their
+    paddings. So they may need more memory than `layer_shapes` counted.
 
     Raises
     ------
@@ -193,9 +193,9 @@ def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
     firsts = {volume: numbers.take(volume.size) + volume.origin}
     n_input = numbers.size
     for step in steps:
-        part = step.output
-        if part not in firsts:
-            firsts[part] = numbers.take(part.size) + part.origin
+        output = step.output
+        if output not in firsts:
+            firsts[output] = numbers.take(output.size) + output.origin
     if numbers.size > 2 * graph.MAX_NUMBERS:
         raise ValueError(
             f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}"
@@ -247,7 +247,7 @@ class _ProgramWriter:
         program[P.OUTPUT] = layout.firsts[output]
         program[P.OUTPUT_DY] = output.pitch
 
-        most_places = max(part.rows * part.columns for part in layout.firsts)
+        most_places = max(layer_map.rows * layer_map.columns for layer_map in layout.firsts)
         program[P.LIST] = self.places.take(most_places + 2)
         self._write_scratch()
         self._write_changes(program, P.INPUT_CHANGED, volume.rows, volume.columns)
@@ -258,9 +258,10 @@ class _ProgramWriter:
 
         Zeros lie before and behind the row, for the windows of steps that reach beyond the map.
         """
-        n_words = max(_words(part.columns) for part in self._layout.firsts)
+        n_words = max(_words(layer_map.columns) for layer_map in self._layout.firsts)
         n_before = max(_words(step.padding[1]) for step in self._steps)
         n_seen = max(_words_seen(step) for step in self._steps)
+        # `places` is counted in uint32 numbers, of which two make a uint64 word
         first = self.places.take(2 * (n_before + max(n_words, n_seen))) // 2
         self.program[P.SCRATCH] = first + n_before
         self.program[P.SCRATCH_WORDS] = n_words
@@ -268,14 +269,15 @@ class _ProgramWriter:
     def _write_changes(self, record: np.ndarray, at: int, rows: int, columns: int) -> None:
         """Write the record of a map without changes, see `kernels.network.changes`."""
         n_words = _words(columns)
-        first = self.places.take(2 * rows * n_words) // 2
+        first = self.places.take(2 * rows * n_words) // 2  # in uint64 words
+        # from row MAX_ROW to row -1: no row has changed
         record[at : at + 4] = first, MAX_ROW, -1, n_words
 
     def write_step(self, step: Step) -> None:
         at = self.records[step]
         record = self.program[at : at + P.STEP_SIZE]
         record[P.KIND] = step.kind
-        record[P.APPLIED] = step.applied
+        record[P.APPLIED] = step.function
         record[P.BLOCK] = step.block
         self._write_window(record, step)
         self._write_places(record, step)
@@ -297,9 +299,12 @@ class _ProgramWriter:
         self._write_changes(record, P.TOUCHED, step.rows, step.columns)
 
     def _write_inputs(self, record: np.ndarray, step: Step) -> None:
-        """Write which maps' changes the step depends on, and where it reads its inputs."""
+        """Write where the changes of the step's inputs are recorded, and where the inputs lie."""
+        # where in the program each record of changes begins
         sources = [
-            self.records[writer] + P.CHANGED for part in step.inputs for writer in part.writers
+            self.records[writer] + P.CHANGED
+            for input_map in step.inputs
+            for writer in input_map.writers
         ]
         if self._layout.volume in step.inputs:
             sources.append(P.INPUT_CHANGED)
@@ -343,7 +348,10 @@ def _words(columns: int) -> int:
 
 
 def _words_seen(step: Step) -> int:
-    """How many words of an input's row a step may read for one row of its output, plus two."""
+    """How many words of an input's row a step may read for one row of its output.
+
+    Two words are added, because 64 columns and the 64 columns behind them may begin within a word.
+    """
     kernel_words = _words((step.kernel[1] - 1) * step.dilation[1])
     return _words(step.columns) * step.stride[1] + kernel_words + 2
 
@@ -354,11 +362,11 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
     A run is a tap, or a whole row of taps, see `kernels.network.program`.
     """
     taps = []
-    for part in step.inputs:
-        row_distance = step.dilation[0] * part.pitch
-        column_distance = step.dilation[1] * part.channels
+    for input_map in step.inputs:
+        row_distance = step.dilation[0] * input_map.pitch
+        column_distance = step.dilation[1] * input_map.channels
         above, before = step.padding
-        origin = firsts[part] - above * part.pitch - before * part.channels
+        origin = firsts[input_map] - above * input_map.pitch - before * input_map.channels
         for i in range(step.kernel[0]):
             for j in range(step.kernel[1]):
                 taps.append(origin + i * row_distance + j * column_distance)

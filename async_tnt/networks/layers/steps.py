@@ -17,7 +17,10 @@ from async_tnt.networks.layers.layer import Layer, Shape
 
 @dataclass(eq=False)
 class Map:
-    """Numbers (rows, columns, channels) within a frame of `fill`. A vector has one place."""
+    """Numbers (rows, columns, channels), with a frame of further places around them.
+
+    All numbers of the frame are `fill`. A vector is a map of one place.
+    """
 
     channels: int
     rows: int
@@ -70,7 +73,7 @@ class Step:
         taps, C) with `own_weights`.
     bias : (F,) or (C,).
     own_weights : whether each place has weights of its own.
-    applied : the place of a FUNCTION's function in `kernels.network.functions.FUNCTIONS`.
+    function : the index of a FUNCTION's function in `kernels.network.functions.FUNCTIONS`.
     block : the side of the block that one place of a SPREAD's input becomes.
     channel : the first channel of the output that the step computes.
 
@@ -93,7 +96,7 @@ class Step:
     dilation: tuple[int, int] = (1, 1)
     groups: int = 1
     own_weights: bool = False
-    applied: int = 0
+    function: int = 0
     block: int = 1
     channel: int = 0
     rows: int = field(init=False)
@@ -131,7 +134,7 @@ class Step:
 
 
 class StepList:
-    """The steps of a network so far. The rules of operations add theirs.
+    """The steps of a network so far. The rule of each operation adds the operation's steps.
 
     Parameters
     ----------
@@ -167,7 +170,7 @@ class StepList:
         return self._tensors[layer["weights"][role]]
 
     def tensor_or(self, layer: Layer, role: str, default: float, n: int) -> np.ndarray:
-        """The weights in this role or, if it is missing, `n` times the default."""
+        """The layer's weights in this role; if it has none, `n` numbers with the default value."""
         if role in layer["weights"]:
             return self.tensor(layer, role)
         return np.full(n, default, np.float32)
@@ -187,7 +190,7 @@ class StepList:
         return self.add(SUM, [source], output, ones, np.zeros(source.channels), channel=channel)
 
     def step_to_change(self, layer: Layer, source: Map, *, linear: bool = False) -> Step:
-        """A step whose results a layer of one input may change in place of a step of its own.
+        """A step that a layer of one input may change, so that it needs no step of its own.
 
         It is the step that computes the layer's input, if no other layer reads this input and the
         step has no activation yet. Otherwise it is a new step, which copies the input.
@@ -208,12 +211,13 @@ class StepList:
         return self.copy(source, source.like()).writers[0]
 
     def sum_of_places(self, source: Map, factor: float, bias: np.ndarray) -> Map:
-        """Add the sum over all places, times a factor; returns its map.
+        """Add the sum over all places, times a factor; returns the map of the sum.
 
-        Each row is summed first, then the sums of the rows are summed. So a change in one row needs
-        the sum of this row and the sum of the row sums only.
+        Each row is summed first, then the sums of the rows are summed. So after a change in one
+        row, only this row and the row sums have to be summed again.
         """
         channels = source.channels
+        # a map of one row or one column has no row sums
         if 1 not in source.sides:
             row_sums = Map(channels, source.rows, 1)
             ones = np.ones((source.columns, channels))

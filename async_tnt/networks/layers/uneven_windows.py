@@ -24,7 +24,7 @@ class AdaptiveSpans(NamedTuple):
     Parameters
     ----------
     spans : for each place, the index of its first input, and the index behind its last input.
-    stride, before : the numbers that say which input a tap reads: k stride - before + i.
+    stride, before : tap i of place k reads the input k stride - before + i.
     kernel : the number of taps of a place.
     """
 
@@ -35,7 +35,10 @@ class AdaptiveSpans(NamedTuple):
 
 
 def inside_shares(n: int, n_inputs: int, kernel: int, stride: int, before: int) -> np.ndarray:
-    """The shares of a mean pooling in which padding does not count, along one axis: (n, kernel)."""
+    """The shares of a mean pooling in which padding does not count, along one axis.
+
+    The array has the shape (n, kernel).
+    """
     starts = [k * stride - before for k in range(n)]
     spans = [(start, start + kernel) for start in starts]
     return shares_of(spans, n_inputs, stride, before, kernel)
@@ -52,7 +55,7 @@ def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
         end = math.ceil((k + 1) * n_inputs / n)
         spans.append((first, end))
     stride = max(1, n_inputs // n)
-    # With more places than inputs, a span begins before the input k stride.
+    # If there are more places than inputs, the span of place k may begin before input k stride.
     before = max(k * stride - first for k, (first, _) in enumerate(spans))
     kernel = max(end - k * stride + before for k, (_, end) in enumerate(spans))
     return AdaptiveSpans(spans, stride, before, kernel)
@@ -67,7 +70,7 @@ def adaptive_shares(n: int, n_inputs: int) -> tuple[np.ndarray, int, int]:
 def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
     """The share of each input in each place of an adaptive pooling, (n, n_inputs)."""
     shares, stride, before = adaptive_shares(n, n_inputs)
-    # wide enough for all taps, also for those in front of the inputs and behind them
+    # the matrix is wide enough for all taps, also for taps in front of the inputs and behind them
     matrix = np.zeros((n, before + n * stride + shares.shape[1] + n_inputs))
     for k, row in enumerate(shares):
         matrix[k, k * stride : k * stride + len(row)] = row
@@ -79,7 +82,7 @@ def shares_of(
 ) -> np.ndarray:
     """The share of each tap in the mean of its place, (places, taps).
 
-    A span may reach beyond the inputs: only the inputs that exist count.
+    A span may reach beyond the inputs. Only the inputs that exist count.
 
     Examples
     --------

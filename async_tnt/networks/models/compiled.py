@@ -25,15 +25,15 @@ from async_tnt.networks.models.objects import ObjectReader, new_tracks
 from async_tnt.volume.events import Columns
 from async_tnt.volume.volume import TNTVolume
 
-_packed: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = WeakKeyDictionary()
-"""Model -> its networks -> their packed weights, which all programs of the model share."""
+_packed_weights: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = WeakKeyDictionary()
+"""Model -> name of a network -> its packed weights, which all programs of the model share."""
 
 
 def _program_of(model: Model, network: str) -> Program:
     """A new program of a model's classifier or regressor, with feature maps of its own."""
-    of_model = _packed.setdefault(model, {})
-    packed = of_model.setdefault(network, {})
-    return make_program(model.network[network], model.config.shape, model.weights, packed)
+    networks = _packed_weights.setdefault(model, {})
+    shared = networks.setdefault(network, {})
+    return make_program(model.network[network], model.config.shape, model.weights, shared)
 
 
 class CompiledClassifier:
@@ -92,7 +92,7 @@ class CompiledClassifier:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Compile the kernel that decides, so that no event waits for that."""
+        """Compile the kernel that decides, so that no event waits for the compiler."""
         prepare(classify_cells if self.places is None else locate_cells)
 
     def prepare_stretches(self) -> None:
@@ -102,7 +102,8 @@ class CompiledClassifier:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         vars(self).pop("map", None)  # it is a view of the original's memory
-        # The copied number names a window of the original's process: here it may be another window.
+        # The copied number names a window of the original's process. In this process it may name
+        # another window.
         self.network.program[EPOCH] = 0
         self._prepare()
 
@@ -112,7 +113,8 @@ class CompiledClassifier:
         logits = self._program.run(self._input(volume))
         if self.reader is None:
             return logits[: self.n_classes].copy()
-        score_map.call(self.network.maps, *self.reader.arrays[:3])
+        about, scores, peaks, *_ = self.reader.arrays
+        score_map.call(self.network.maps, about, scores, peaks)
         return self.map.copy()
 
     def refresh(self, volume: TNTVolume) -> np.ndarray:
@@ -206,11 +208,11 @@ class CompiledClassifier:
         ----------
         answers : the kernel's arrays for logits, probabilities and notes.
         """
-        found: tuple[int, int, int]
-        found = absorb_and_decide.call(
+        result: tuple[int, int, int]
+        result = absorb_and_decide.call(
             buffer, *columns[:4], first, last, trigger, *self.network, *answers
         )
-        return found
+        return result
 
 
 class CompiledRegressor:
@@ -253,10 +255,10 @@ class CompiledRegressor:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._prepare()  # perhaps in another process
+        self._prepare()  # this may be another process, which has not compiled them yet
 
     def _prepare(self) -> None:
-        """Compile the kernels, so that no window waits for that."""
+        """Compile the kernels, so that no window waits for the compiler."""
         self._program.prepare()
         prepare(centroid)
 

@@ -30,7 +30,7 @@ FORMAT = "async_tnt 2"
 Its number grows with each change after which older releases cannot read new files."""
 
 CENTROID = "heatmap_centroid"
-"""The operation that a landmark network ends in."""
+"""The operation of a landmark network's last layer."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
@@ -176,8 +176,8 @@ class Model:
 
         One pixel of the sensor still becomes as many pixels of the grid as before. This is meant
         for map models, and for other networks that have only convolutions and poolings. A pooling
-        that had `ceil_mode` or one side None in torch keeps the padding or the side that was
-        computed for the first sensor.
+        that had `ceil_mode` in torch keeps the padding that was computed for the first sensor. A
+        pooling that had None as one side in torch keeps the side that was computed for it.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class Model:
 
     @property
     def _shapes(self) -> dict[str, Shape]:
-        """The shapes of what the classifier's layers compute."""
+        """Layer of the classifier -> the shape of its output."""
         tensors = {name: w.shape for name, w in self.weights.items()}
         return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors)
 
@@ -229,7 +229,7 @@ class Model:
         return f"Model({', '.join(parts)})"
 
     def description(self) -> dict[str, str]:
-        """Format, configuration, classes and record as JSON, for the metadata of a file.
+        """The metadata of a file: format, and configuration, classes and record as JSON.
 
         Raises
         ------
@@ -265,7 +265,8 @@ def _float32(name: str, values: Any) -> np.ndarray:
     array = plain_array(name, values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
-    with np.errstate(over="ignore"):  # too large a number becomes inf; `_check_values` refuses it
+    # a number that is too large becomes inf, which `_check_values` refuses
+    with np.errstate(over="ignore"):
         return np.ascontiguousarray(array, np.float32).copy()  # the caller may change its array
 
 

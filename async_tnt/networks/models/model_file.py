@@ -72,18 +72,20 @@ def parse_metadata(metadata: Mapping[str, str], name: str) -> Any:
         raise ValueError(f"`{name}` in its metadata cannot be read: {error}") from None
 
 
-def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
+def read_description(
+    metadata: Mapping[str, str], *further_names: str
+) -> tuple[TNTConfig, Any, Any]:
     """Configuration, classes and record, as `Model.description` wrote them.
 
     Parameters
     ----------
-    more : further names that the metadata must have.
+    further_names : further names that the metadata must have.
 
     Raises
     ------
     ValueError : a name is missing, or its value cannot be read.
     """
-    expected = ("config", "classes", "record", *more, "sha256")
+    expected = ("config", "classes", "record", *further_names, "sha256")
     missing = [name for name in expected if name not in metadata]
     if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
@@ -107,5 +109,5 @@ def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
 
 def checksum_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
     """The checksum of the weights and of all metadata except the checksum itself."""
-    others = {name: metadata[name] for name in sorted(metadata) if name != "sha256"}
-    return checksum(weights, json.dumps(others))
+    other_entries = {name: metadata[name] for name in sorted(metadata) if name != "sha256"}
+    return checksum(weights, json.dumps(other_entries))

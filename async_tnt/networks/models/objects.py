@@ -54,9 +54,9 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
     axes = {VOLUME: (Axis(0.0, 1.0, height), Axis(0.0, 1.0, width))}
     for layer in layers:
         operation = OPERATIONS.get(layer["op"])  # None in a file of a later release
-        through = axis_through_window if operation is None else operation.places
+        places_rule = axis_through_window if operation is None else operation.places
         rows, columns = axes[layer["inputs"][0]]
-        axes[layer["name"]] = (through(layer, 0, rows), through(layer, 1, columns))
+        axes[layer["name"]] = (places_rule(layer, 0, rows), places_rule(layer, 1, columns))
 
     rows, columns = axes[layers[-1]["name"]]
     # how many sensor pixels lie between two neighbouring grid pixels
@@ -140,7 +140,10 @@ class ObjectReader:
 
 
 def most_objects(rows: int, columns: int) -> int:
-    """The largest number of objects on a map: two peaks are more than `NEAR` places apart."""
+    """The largest number of objects on a map.
+
+    It is limited because two peaks are more than `NEAR` places apart.
+    """
     return math.prod(-(-side // (K.NEAR + 1)) for side in (rows, columns))
 
 
@@ -155,7 +158,7 @@ def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:
     _, rows, columns = shape
     n_tracked = min(K.MOST_TRACKED, most_objects(rows, columns))
     tracks = np.zeros((K.KNOWN + 2 * n_tracked, 4))
-    tracks[0, K.MEMORY_US] = memory_us
-    tracks[1, [K.X0, K.DX_PX, K.Y0, K.DY_PX]] = places
-    tracks[2, [K.REACH_X, K.REACH_Y]] = REACH * places.dx, REACH * places.dy
+    tracks[K.HEAD, K.MEMORY_US] = memory_us
+    tracks[K.ON_SENSOR, [K.X0, K.DX_PX, K.Y0, K.DY_PX]] = places
+    tracks[K.REACH, [K.REACH_X, K.REACH_Y]] = REACH * places.dx, REACH * places.dy
     return tracks

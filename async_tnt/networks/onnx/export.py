@@ -21,7 +21,7 @@ OPSET = 13
 No exported operation needs a later version, and programs that read ONNX read this version."""
 
 IR_VERSION = 7
-"""The version of the ONNX file format in exported files, also that of ONNX 1.8."""
+"""The version of the ONNX file format in exported files. It, too, is that of ONNX 1.8."""
 
 MAX_BYTES = 1 << 31
 """A protobuf message, and so an ONNX file, must have fewer bytes than this."""
@@ -61,17 +61,17 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         [helper.make_tensor_value_info(LOGITS, float32, [1, *logits_shape])],
         [onnx.numpy_helper.from_array(w, name) for name, w in nodes.weights.items()],
     )
-    made: onnx.ModelProto = helper.make_model(
+    proto: onnx.ModelProto = helper.make_model(
         graph,
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
         producer_name="async_tnt",
         producer_version=__version__,
     )
-    helper.set_model_props(made, metadata_of(model))
-    seal(made)
-    onnx.checker.check_model(made, full_check=True)
-    return made
+    helper.set_model_props(proto, metadata_of(model))
+    seal(proto)
+    onnx.checker.check_model(proto, full_check=True)
+    return proto
 
 
 def _nodes_of(model: Model) -> OnnxNodes:
@@ -82,17 +82,17 @@ def _nodes_of(model: Model) -> OnnxNodes:
     weights = {name: model.weights[name] for name in sorted(tensors_of(layers))}
     tensor_shapes = {name: w.shape for name, w in model.weights.items()}
     shapes = layer_shapes(layers, model.config.shape, tensor_shapes)
-    made = OnnxNodes(layers, weights, shapes, make_node)
+    nodes = OnnxNodes(layers, weights, shapes, make_node)
     for layer in layers:
-        name = made.name_value(layer, is_output=layer is layers[-1])
-        inputs = [made.value_of(source) for source in layer["inputs"]]
+        name = nodes.name_value(layer, is_output=layer is layers[-1])
+        inputs = [nodes.value_of(source) for source in layer["inputs"]]
         write = FORMS[layer["op"]].write
         assert write is not None  # a Model's classifier holds no other layers
-        write(made, layer, inputs, name)
+        write(nodes, layer, inputs, name)
 
-    output = made.value_of(layers[-1]["name"])
-    # A vector has been named `logits` by `name_value`. Otherwise the output is a map: a map model's
-    # logits are this map, another model's logits are the flattened map.
+    output = nodes.value_of(layers[-1]["name"])
+    # `name_value` has named a vector `logits`. Otherwise the output is a map. The logits of a map
+    # model are this map. The logits of another model are the flattened map.
     if output != LOGITS:
-        made.add("Flatten" if model.places is None else "Identity", [output], LOGITS)
-    return made
+        nodes.add("Flatten" if model.places is None else "Identity", [output], LOGITS)
+    return nodes

@@ -76,8 +76,8 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
 
     Parameters
     ----------
-    weights : name -> values of all constants in the file. The export adds some to the model's
-        weights.
+    weights : name -> values of all constants in the file. Some of them are no weights of the model,
+        because the export adds constants.
     """
     if exported.config.needs_regressor:
         raise NotImplementedError(
@@ -85,11 +85,13 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
         )
     layers = exported.layers
     try:
-        # checks the layers; only then can `tensors_of` read the names of their weights
+        # `tensors_of` can read the names of weights only from layers that have been checked
         layer_shapes(layers, exported.config.shape, _shapes(weights))
-        own = {name: weights[name] for name in sorted(tensors_of(layers))}
+        used_weights = {name: weights[name] for name in sorted(tensors_of(layers))}
         network = {CLASSIFIER: layers}
-        return Model(exported.config, own, exported.classes, exported.record, network=network)
+        return Model(
+            exported.config, used_weights, exported.classes, exported.record, network=network
+        )
     except NotImplementedError as error:
         raise ValueError(
             f"{path} holds a network that this release cannot run: {one_line(error)}"
@@ -126,11 +128,11 @@ def _foreign_model(
 def _default_classes(
     layers: Layers, shape: tuple[int, int, int], weights: Mapping[str, np.ndarray]
 ) -> list[str]:
-    """ "0", "1", ... for each logit, or for each channel of a map but the last."""
+    """The names "0", "1", ... for the logits, or for all channels of a map but the last."""
     output = list(layer_shapes(layers, shape, _shapes(weights)).values())[-1]
-    read = logits_shape(output) or (0,)
-    is_map = len(read) == 3
-    n_classes = read[0] - 1 if is_map else read[0]
+    answer_shape = logits_shape(output) or (0,)
+    is_map = len(answer_shape) == 3
+    n_classes = answer_shape[0] - 1 if is_map else answer_shape[0]
     return [str(k) for k in range(max(1, n_classes))]
 
 
@@ -147,30 +149,30 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     ValueError : see `compare`; or onnxruntime cannot open the file.
     """
     opened = open_session(str(path), str(path), 1)
-    (given,) = opened.inputs
+    (network_input,) = opened.inputs
     dtype = input_type(proto)
     # `layers_from_onnx` accepts a softmax only at the end of a network
     has_softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
     n_batch = 1
-    if given.shape and isinstance(given.shape[0], int):  # some files fix the batch size
-        n_batch = given.shape[0]
+    if network_input.shape and isinstance(network_input.shape[0], int):
+        n_batch = network_input.shape[0]  # the file fixes the batch size
     compiled = CompiledClassifier(model)
 
-    def theirs(volume: np.ndarray) -> np.ndarray:
+    def original(volume: np.ndarray) -> np.ndarray:
         batch = np.repeat(volume[None], n_batch, 0).astype(dtype)
-        answer: np.ndarray = opened.session.run(None, {given.name: batch})[0]
+        answer: np.ndarray = opened.session.run(None, {network_input.name: batch})[0]
         return np.asarray(answer.reshape(n_batch, -1)[0], np.float64)
 
-    def ours(volume: np.ndarray) -> np.ndarray:
+    def converted(volume: np.ndarray) -> np.ndarray:
         logits = compiled(volume).astype(np.float64)
         if not has_softmax:
             return logits
         odds = np.exp(logits - logits.max(0))
-        shares: np.ndarray = odds / odds.sum(0)
-        return shares
+        probabilities: np.ndarray = odds / odds.sum(0)
+        return probabilities
 
     tolerance = max(TOLERANCE, 8 * float(np.finfo(dtype).eps))
-    compare(theirs, ours, model.config.shape, tolerance)
+    compare(original, converted, model.config.shape, tolerance)
 
 
 def layers_from_onnx(
@@ -202,33 +204,33 @@ def layers_from_onnx(
         )
     _check_input_shape(inputs[0], shape)
     constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    made = OnnxLayers(inputs[0].name, shape, input_type(model), constants, opset)
+    onnx_layers = OnnxLayers(inputs[0].name, shape, input_type(model), constants, opset)
     output = graph.output[0].name
     for node in map(Node, graph.node):
         rule = RULES.get(node.op)
         if rule is None or (node.op == "Softmax" and node.outputs[0] != output):
             raise NotImplementedError(f"{node.where} has no compiled form")
         try:
-            rule(made, node)
-        except (NotImplementedError, ValueError) as error:  # ValueError: the shapes do not fit
+            rule(onnx_layers, node)
+        except (NotImplementedError, ValueError) as error:  # a ValueError if shapes do not fit
             raise NotImplementedError(f"{node.where}: {error}") from None
-    if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
+    if not onnx_layers.layers or onnx_layers.names.get(output) != onnx_layers.layers[-1]["name"]:
         raise NotImplementedError("the network's last layer must compute its output")
     try:
-        layer_shapes(made.layers, shape, _shapes(made.tensors))
+        layer_shapes(onnx_layers.layers, shape, _shapes(onnx_layers.tensors))
     except ValueError as error:
         raise NotImplementedError(str(error)) from None
-    return made.layers, made.tensors
+    return onnx_layers.layers, onnx_layers.tensors
 
 
 def _check_input_shape(value: onnx.ValueInfoProto, shape: tuple[int, int, int]) -> None:
     """Refuse an input (N, C, H, W) that is no volume of this shape (C, H, W)."""
     sides = [side.dim_value for side in value.type.tensor_type.shape.dim][1:]
-    if not sides:  # the file does not say
+    if not sides:  # the file does not say the input's shape
         return
     is_volume = len(sides) == 3 and all(
-        side in (0, own)  # 0: it is not fixed
-        for side, own in zip(sides, shape, strict=True)
+        side in (0, expected)  # 0: the file leaves this side open
+        for side, expected in zip(sides, shape, strict=True)
     )
     if not is_volume:
         raise ValueError(
@@ -243,24 +245,24 @@ def _inputs(model: onnx.ModelProto) -> list[onnx.ValueInfoProto]:
 
 
 def input_type(model: onnx.ModelProto) -> np.dtype:
-    """The floating type of the network's input, and so of its weights."""
+    """The floating type of the network's input. Its weights must have the same type."""
     from onnx import TensorProto
 
-    types: dict[int, str] = {
+    type_names: dict[int, str] = {
         TensorProto.FLOAT: "float32",
         TensorProto.FLOAT16: "float16",
         TensorProto.DOUBLE: "float64",
     }
-    given = _inputs(model)[0].type.tensor_type.elem_type
-    if given not in types:
+    element_type = _inputs(model)[0].type.tensor_type.elem_type
+    if element_type not in type_names:
         raise NotImplementedError(
-            f"the network's input must be floating point, got type {given} of ONNX"
+            f"the network's input must be floating point, got type {element_type} of ONNX"
         )
-    return np.dtype(types[given])
+    return np.dtype(type_names[element_type])
 
 
 def _check_meanings(model: onnx.ModelProto) -> int:
-    """Check the meanings of the operations, and return the version of ONNX's operations.
+    """Check that operators have ONNX's own meanings, and return the version of ONNX's operations.
 
     Raises
     ------

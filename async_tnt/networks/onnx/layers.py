@@ -47,19 +47,20 @@ class OnnxLayers:
 
     Parameters
     ----------
-    given : the name of the network's input, a volume of `shape` (C, H, W) and type `dtype`.
+    input_name : the name of the network's input, a volume of `shape` (C, H, W) and type `dtype`.
     constants : name -> values of the graph's constants.
     opset : the version of ONNX's operations.
 
     Attributes
     ----------
-    layers, tensors : the layers, and the weights by their names.
-    names : value -> the layer that computes it.
+    layers : the layers, in the order in which they are computed.
+    tensors : name -> weights.
+    names : name of a value -> the layer that computes the value.
     """
 
     def __init__(
         self,
-        given: str,
+        input_name: str,
         shape: tuple[int, ...],
         dtype: np.dtype,
         constants: Mapping[str, np.ndarray],
@@ -67,7 +68,7 @@ class OnnxLayers:
     ) -> None:
         self.layers: list[dict[str, Any]] = []
         self.tensors: dict[str, np.ndarray] = {}
-        self.names = {given: VOLUME}
+        self.names = {input_name: VOLUME}
         self.constants = dict(constants)
         self.opset = opset
         self._shape = shape
@@ -78,15 +79,15 @@ class OnnxLayers:
 
         If a node becomes several layers, the last of them computes the node's output.
         """
-        taken = {VOLUME, *(layer["name"] for layer in self.layers)}
+        used_names = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = node.outputs[0]
-        while name in taken:
+        while name in used_names:
             name += "_"
-        inputs = [self.layer(source) for source in sources]
+        inputs = [self.layer_name(source) for source in sources]
         self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
         self.names[node.outputs[0]] = name
 
-    def layer(self, value: str) -> str:
+    def layer_name(self, value: str) -> str:
         """The name of the layer that computes a value.
 
         A NotImplementedError if the value does not depend on the volume.
@@ -97,7 +98,7 @@ class OnnxLayers:
 
     def layer_of(self, value: str) -> dict[str, Any]:
         """The layer that computes a value; for the volume, a stand-in with the `op` "volume"."""
-        name = self.layer(value)
+        name = self.layer_name(value)
         for layer in self.layers:
             if layer["name"] == name:
                 return layer
@@ -106,11 +107,11 @@ class OnnxLayers:
     def shape(self, value: str) -> tuple[int, ...]:
         """The shape of a value, (C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.tensors.items()}
-        return layer_shapes(self.layers, self._shape, tensors, partial=True)[self.layer(value)]
+        return layer_shapes(self.layers, self._shape, tensors, partial=True)[self.layer_name(value)]
 
     def alias(self, node: Node, value: str) -> None:
-        """Note that a node passes a value on: the same layer computes its output."""
-        self.names[node.outputs[0]] = self.layer(value)
+        """Note that a node passes a value on. So the value's layer computes the node's output."""
+        self.names[node.outputs[0]] = self.layer_name(value)
 
     def constant(self, node: Node, place: int) -> np.ndarray | None:
         """A constant input; None where there is no input at this place."""
@@ -124,7 +125,7 @@ class OnnxLayers:
     def tensor(self, name: str, values: np.ndarray) -> str:
         """Keep a tensor; returns the name under which it is kept.
 
-        This is `name`, with `_` added if a different tensor already has the name.
+        The name is `name`, with `_` added if a different tensor already has it.
         """
         expect_form(
             values.dtype == self._dtype,

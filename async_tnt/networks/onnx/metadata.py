@@ -44,16 +44,17 @@ def metadata_of(model: Model) -> dict[str, str]:
     return {**model.description(), "network": network, CHECKSUM: BLANK}
 
 
-def seal(made: onnx.ModelProto) -> None:
+def seal(proto: onnx.ModelProto) -> None:
     """Write the checksum of all of a file's bytes into its metadata."""
-    (entry,) = [entry for entry in made.metadata_props if entry.key == CHECKSUM]
+    (entry,) = [entry for entry in proto.metadata_props if entry.key == CHECKSUM]
     entry.value = BLANK
-    entry.value = _checksum(made.SerializeToString(), BLANK)
+    entry.value = _checksum(proto.SerializeToString(), BLANK)
 
 
-def _checksum(content: bytes, written: str) -> str:
+def _checksum(content: bytes, written_checksum: str) -> str:
     """The checksum of a file's bytes, computed with `BLANK` in place of the written checksum."""
-    return hashlib.sha256(content.replace(written.encode(), BLANK.encode())).hexdigest()
+    blanked = content.replace(written_checksum.encode(), BLANK.encode())
+    return hashlib.sha256(blanked).hexdigest()
 
 
 def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | None:
@@ -69,11 +70,11 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
     ValueError : this package wrote the file, but in another version of the format; or the file has
         changed since `seal` wrote its checksum.
     """
-    written = metadata.get("format", "")
-    if not written.startswith(FORMAT.split()[0] + " "):
+    file_format = metadata.get("format", "")
+    if not file_format.startswith(FORMAT.split()[0] + " "):
         return None
-    if written != FORMAT:
-        raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
+    if file_format != FORMAT:
+        raise ValueError(f"metadata `format` must be {FORMAT!r}, got {file_format!r}")
     try:
         config, classes, record = read_description(metadata)
         layers = parse_metadata({"network": metadata.get("network", "")}, "network")

@@ -80,8 +80,8 @@ class OnnxClassifier:
         except ValueError as error:
             raise ValueError(f"{self._name}: {error}") from None
 
-        bound = self._bind(opened.inputs[0].name, opened.outputs[0])
-        self._volume, self._answer, self._binding = bound
+        memory_and_binding = self._bind(opened.inputs[0].name, opened.outputs[0])
+        self._volume, self._answer, self._binding = memory_and_binding
         is_map = self._answer.ndim > 1
         self.n_classes = len(self._answer) - 1 if is_map else self._answer.size
 
@@ -112,13 +112,13 @@ class OnnxClassifier:
             )
 
     def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
-        opened_again = functools.partial(
+        open_again = functools.partial(
             type(self), self._source, threads=self.threads, shape=self.shape
         )
-        return opened_again, ()
+        return open_again, ()
 
     def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
-        """Memory that the network reads from and writes to, bound once.
+        """Allocate the memory that the network reads from and writes to, and bind it once.
 
         This is the fastest way that onnxruntime offers. For `digits` on one Xeon core it takes
         50 us. `session.run` takes 52 to 57, as it checks a dictionary and makes a list and an
@@ -180,7 +180,7 @@ def _places_of(exported: Exported, name: str) -> Places:
         ) from None
 
 
-# -- opening a file, and whether its network takes one volume and gives one answer -----------------
+# -- opening a file, checking that its network takes one volume and gives one answer ---------------
 
 
 def source_of(path_or_bytes: Any) -> str | bytes:
@@ -212,7 +212,8 @@ def import_onnxruntime() -> Any:
     ------
     ImportError : onnxruntime is not installed.
     """
-    # onnxruntime reads this while it is imported; its API can turn telemetry off only afterwards
+    # onnxruntime reads this variable while it is imported. Its API can turn telemetry off only
+    # after the import.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     with needs_extra("onnx", "ONNX networks are run by onnxruntime"):
         import onnxruntime
@@ -263,7 +264,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
             source,
             options,
             providers=["CPUExecutionProvider"],
-            enable_fallback=0,  # with a fallback, a failure would print that it tries again
+            enable_fallback=0,  # with a fallback, onnxruntime would print that it tries again
         )
         inputs = session.get_inputs()
         outputs = session.get_outputs()
@@ -279,10 +280,14 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
 
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, int, int]:
-    """The shape (C, H, W) of a network's volumes; `shape` where the network leaves sides open."""
+    """The shape (C, H, W) of a network's volumes.
+
+    The result is `shape` if it is given. Otherwise it is the shape of the network's input, which
+    must not leave a side open.
+    """
     sides = tuple(inputs[0].shape) if inputs else ()
-    one_volume = len(sides) == 4 and (sides[0] == 1 or not isinstance(sides[0], int))
-    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not one_volume:
+    is_one_volume = len(sides) == 4 and (sides[0] == 1 or not isinstance(sides[0], int))
+    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not is_one_volume:
         raise ValueError(
             "the network must have one input, a volume, tensor(float) of shape (1, C, H, W), or of "
             f"any number of them; got {_listed(inputs)}"

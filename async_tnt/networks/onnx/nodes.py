@@ -68,9 +68,11 @@ class OnnxNodes:
         output and computes a vector, it is `LOGITS`.
         """
         name: str = layer["name"]
-        # a rule may add helping values, such as "conv1.sum" for the layer "conv1": no other value
-        # may have such a name
-        while name in self._taken or any(own.startswith(f"{name}.") for own in self._layer_names):
+        # A rule may add values of its own, such as "conv1.sum" for the layer "conv1". So no other
+        # value may have such a name.
+        while name in self._taken or any(
+            other.startswith(f"{name}.") for other in self._layer_names
+        ):
             name += "_"
         if is_output and len(self._shapes[layer["name"]]) == 1:
             name = LOGITS
@@ -92,7 +94,10 @@ class OnnxNodes:
         return output
 
     def constant(self, name: str, value: Any) -> str:
-        """Add a float32 constant; returns its name: `name`, with `_` added if a weight has it."""
+        """Add a float32 constant; returns its name.
+
+        It is `name`, with `_` added if another of the `weights` has this name.
+        """
         while name in self.weights:
             name += "_"
         self.weights[name] = np.asarray(value, np.float32)

@@ -21,11 +21,11 @@ class OnnxForm:
 
     Parameters
     ----------
-    read : ONNX operator -> the rule that reads its nodes. Some operators become one of several
-        operations, as their attributes or inputs say. Each of these operations lists the operator.
+    read : ONNX operator -> the rule that reads its nodes. The attributes or inputs of some nodes
+        decide which operation they become. Each of these operations lists the nodes' operator.
     write : the rule that writes a layer of the operation.
-    not_read : why no ONNX operator is read as the operation.
-    not_written : why the operation is not written.
+    not_read : the reason why no ONNX operator is read as the operation, if none is.
+    not_written : the reason why the operation is not written, if it is not.
     """
 
     read: Mapping[str, ReadRule] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The torch form of an operation: what calls it in torch, and how a call becomes layers."""
+"""The torch form of an operation: which calls in torch compute it, and how they become layers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ArgumentsRule = Callable[[fx.Node], dict[str, Any]]
 """Finds the arguments of a call by name, for an operation whose arguments have no fixed order."""
 
 INPLACE = {"inplace": False}
-"""The parameter, with its default, of modules and functions that may work in place."""
+"""The parameter `inplace` of modules and functions that may work in place, with its default."""
 
 
 @dataclass(frozen=True)
@@ -55,29 +55,29 @@ class TorchForm:
         """
         if self.arguments_of is not None:
             return self.arguments_of(node)
-        # a module has its parameters as attributes; a function takes them behind its inputs
-        names = [*self.inputs]
+        # a module has its parameters as attributes; a function takes them behind the inputs
+        known_names = [*self.inputs]
         if module is None:
-            names += [*self.parameters, "out"]
-        given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
-        unknown = [*node.args[len(names) :]]
-        unknown += [name for name in given if name not in names]
-        if unknown:
-            raise NotImplementedError(f"the argument {unknown[0]!r} has no compiled form")
-        # without a module, `getattr` gives the default
+            known_names += [*self.parameters, "out"]
+        given_arguments = {**dict(zip(known_names, node.args, strict=False)), **node.kwargs}
+        unknown_arguments = [*node.args[len(known_names) :]]
+        unknown_arguments += [name for name in given_arguments if name not in known_names]
+        if unknown_arguments:
+            raise NotImplementedError(f"the argument {unknown_arguments[0]!r} has no compiled form")
+        # `getattr` gives the default if `module` is None
         defaults = {name: getattr(module, name, value) for name, value in self.parameters.items()}
-        return {**defaults, **given}
+        return {**defaults, **given_arguments}
 
 
 def plain_layer(op: str) -> Rule:
     """A rule that adds a layer with one input and no parameters."""
 
-    def rule(made: LayerList, call: Call) -> str:
-        return made.add(op, call)
+    def rule(layer_list: LayerList, call: Call) -> str:
+        return layer_list.add(op, call)
 
     return rule
 
 
-def same_layer(made: LayerList, call: Call) -> str:
+def same_layer(layer_list: LayerList, call: Call) -> str:
     """The rule of a call that passes its input on: it adds no layer."""
-    return made.source(call["input"])
+    return layer_list.source(call["input"])

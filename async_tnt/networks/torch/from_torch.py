@@ -34,7 +34,7 @@ WAY_OUT = (
 def layers_from_torch(
     module: nn.Module, shape: tuple[int, ...], prefix: str = ""
 ) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a module as in eval mode, and the weights of the layers.
+    """The layers that compute what a module computes in eval mode, and their weights.
 
     The module itself is not changed.
 
@@ -43,14 +43,14 @@ def layers_from_torch(
     module : volumes (1, C, H, W) -> (1, n), made of the modules, functions and methods that
         `networks/torch/operations.py` lists, in place or not.
     shape : shape of a volume, (C, H, W).
-    prefix : text before the names of the weights, which are otherwise those of `state_dict`.
+    prefix : text before the names of the weights. Without it they are the names of `state_dict`.
 
     Raises
     ------
     TypeError : `module` is not a torch module.
-    NotImplementedError : operations are not in that list; or operations in place change a tensor of
-        which a view is read later; or a module has hooks. The message names these operations, or
-        the first such module.
+    NotImplementedError : operations are not in that list; or operations in place change a tensor,
+        and a view of this tensor is read later; or a module has hooks. The message names these
+        operations, or the first such module.
     ValueError : a layer does not fit `shape`.
     """
     if not isinstance(module, nn.Module):
@@ -63,8 +63,8 @@ def layers_from_torch(
         return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
 
     module = own_copy(module)
-    # A trace looks into the module itself, but takes each known module in it as one call. So a
-    # module that is known itself is put into another one.
+    # A trace looks into the module itself, but takes each known module in it as one call. So if the
+    # module itself is a known one, it is put into another module.
     if type(module) in MODULES:
         module = nn.Sequential(module)
     try:
@@ -75,8 +75,8 @@ def layers_from_torch(
         layers, weights = _Conversion(module, LayerList(shape, prefix)).run(graph)
         layer_shapes(layers, shape, {name: w.shape for name, w in weights.items()})
     except ValueError as error:
-        # If the module itself fails on such a volume, with an error of any type, then the shape is
-        # wrong. Otherwise the layers are.
+        # If the module itself fails on a volume of this shape, with an error of any type, the shape
+        # is wrong. Otherwise the layers are wrong.
         try:
             _function_of(module)(np.zeros(shape, np.float32))
         except Exception:
@@ -173,23 +173,24 @@ class _Tracer(fx.Tracer):
 class _Conversion:
     """Reads the nodes of a trace in their order.
 
-    Several nodes may stand for one tensor. After an operation in place, all of them have the value
-    of the operation's layer. A view of the tensor would have to change, too, which layers cannot
-    do: if a view is read later, the operation is refused.
+    Several nodes may stand for one tensor, because the result of an operation in place is the
+    tensor that it changes. After such an operation, all of these nodes have the value that the
+    operation's layer computes. A view of the tensor would have to change, too, but layers cannot
+    change a view. So the operation is refused if a view is read later.
     """
 
-    def __init__(self, module: nn.Module, made: LayerList) -> None:
+    def __init__(self, module: nn.Module, layer_list: LayerList) -> None:
         self._module = module
-        self._made = made
+        self._layer_list = layer_list
         self._position: dict[fx.Node, int] = {}
         self._tensor: dict[fx.Node, fx.Node] = {}
-        """Node of a result in place -> the first node that stands for the same tensor.
+        """Node of an operation in place -> the first node that stands for the same tensor.
 
-        A node that is not here stands for a tensor of its own."""
+        A node that is no key here is the first node of its tensor."""
         self._memory: dict[fx.Node, fx.Node] = {}
         """Node whose value may lie in another node's memory -> that other node.
 
-        The value of a node that is not here has memory of its own."""
+        The value of a node that is no key here has memory of its own."""
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
         """The layers that the output is computed from, and the weights of these layers."""
@@ -199,7 +200,7 @@ class _Conversion:
             raise NotImplementedError(
                 f"the module must take one volume, got {len(inputs)} arguments"
             )
-        self._made.names[inputs[0]] = VOLUME
+        self._layer_list.names[inputs[0]] = VOLUME
         self._read_all(graph)
 
         (output_node,) = [node for node in graph.nodes if node.op == "output"]
@@ -207,7 +208,7 @@ class _Conversion:
         if not isinstance(output, fx.Node):
             raise NotImplementedError("the module must return one tensor of logits")
         try:
-            return self._made.needed_for(output)
+            return self._layer_list.needed_for(output)
         except NotImplementedError as error:
             raise NotImplementedError(f"the module's output: {error}") from None
 
@@ -221,8 +222,9 @@ class _Conversion:
                 self._read(node)
             except NotImplementedError as error:
                 refused.append(str(error))
-                # any layer, so that later calls are read, too: the message names all refused calls
-                self._made.names[node] = VOLUME
+                # The message has to name all refused calls. So later calls are read, too, as if the
+                # volume were the value of this call.
+                self._layer_list.names[node] = VOLUME
             except ValueError:
                 if not refused:  # after a refused call, shapes are wrong anyway
                     raise
@@ -239,40 +241,45 @@ class _Conversion:
         if form is None:
             if not node.users and not _may_change_its_input(node, module):
                 return
-            is_softmax = "softmax" in kind.lower()
-            advice = ": a decision has the softmax of its logits, leave it out"
-            raise NotImplementedError(f"{where} has no compiled form{advice if is_softmax else ''}")
+            advice = ""
+            if "softmax" in kind.lower():
+                advice = ": a decision has the softmax of its logits, leave it out"
+            raise NotImplementedError(f"{where} has no compiled form{advice}")
         try:
             call = Call(node, self._with_tensors(form.arguments(node, module)), module)
             if node.users or call.written is not None:
-                name = form.rule(self._made, call)
+                name = form.rule(self._layer_list, call)
                 if call.written is not None:
                     self._write(node, call.written, name)
                 elif form.may_share:
                     self._memory[node] = self._memory.get(call["input"], call["input"])
-                self._made.names[node] = name
+                self._layer_list.names[node] = name
         except NotImplementedError as error:
             raise NotImplementedError(f"{where}: {error}") from None
 
     def _write(self, node: fx.Node, written: fx.Node, name: str) -> None:
-        """Note a write in place: all nodes of the written tensor now have the value of a layer.
+        """Record that a call changes a tensor in place.
+
+        A layer computes the tensor's new value. From now on, every node that stands for this tensor
+        has the name of that layer.
 
         Parameters
         ----------
-        node : the call that writes; it becomes a node of the tensor.
-        written : the node whose tensor is written.
+        node : the call. Its result is the changed tensor, so it stands for this tensor, too.
+        written : a node that stands for the tensor before the call.
         name : the layer that computes the new value.
 
         Raises
         ------
-        NotImplementedError : another value that lies in the tensor's memory is read later.
+        NotImplementedError : a view of the tensor would change, too, and is read later.
         """
         tensor = self._tensor.get(written, written)
         memory = self._memory.get(written, written)
-        is_change = name != self._made.source(written)
-        for other in list(self._made.names):
+        # a call that only passes its input on, such as a dropout in place, changes nothing
+        is_change = name != self._layer_list.source(written)
+        for other in list(self._layer_list.names):
             if self._tensor.get(other, other) is tensor:
-                self._made.names[other] = name
+                self._layer_list.names[other] = name
                 continue
             shares_memory = self._memory.get(other, other) is memory
             if is_change and shares_memory and self._is_read(other, node):
@@ -284,14 +291,15 @@ class _Conversion:
         self._memory[node] = memory
 
     def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
-        """Whether an operation behind `after` reads the node's value.
+        """Whether an operation that follows `after` reads the node's value.
 
-        An operation counts if its own result is used, and if it reads more than the node's size.
+        An operation counts only if its own result is used, and if it reads more than the node's
+        size.
         """
         for user in node.users:
             is_later = self._position[user] > self._position[after]
-            counts = user.users or user.op == "output"
-            if is_later and counts and not _is_size(user):
+            is_used = user.users or user.op == "output"
+            if is_later and is_used and not _is_size(user):
                 return True
         return False
 
@@ -306,7 +314,7 @@ class _Conversion:
         return {name: value(argument) for name, argument in arguments.items()}
 
     def _form(self, node: fx.Node) -> tuple[str, nn.Module | None, TorchForm | None]:
-        """The name of what a node calls; the module if it calls one; its form if it is known."""
+        """What a node calls: its name; the module if it is one; its torch form if it has one."""
         target: Any = node.target
         if node.op == "call_module":
             module = self._module.get_submodule(str(target))
@@ -333,7 +341,8 @@ def _is_size(node: fx.Node) -> bool:
 def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:
     """Whether an operation without a compiled form may work in place.
 
-    Torch's own operations say so. Others may do so silently.
+    Torch's own operations say so by their name or their arguments. A function of the user may do so
+    silently.
     """
     if module is not None:
         return bool(getattr(module, "inplace", False))
@@ -344,5 +353,5 @@ def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:
         return True
     if not isinstance(function, FunctionType):
         return False
-    given = inspect.signature(function).bind(*node.args, **node.kwargs).arguments
-    return not function.__module__.startswith("torch.") or bool(given.get("inplace"))
+    arguments = inspect.signature(function).bind(*node.args, **node.kwargs).arguments
+    return not function.__module__.startswith("torch.") or bool(arguments.get("inplace"))

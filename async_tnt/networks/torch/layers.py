@@ -69,11 +69,11 @@ class LayerList:
         ----------
         sources : the layer's inputs, nodes or names of layers; by default the call's only input.
         """
-        taken = {VOLUME, *(layer["name"] for layer in self.layers)}
+        used_names = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = call.node.name
-        if call.module is not None and str(call.node.target) not in taken:
+        if call.module is not None and str(call.node.target) not in used_names:
             name = str(call.node.target)
-        while name in taken:
+        while name in used_names:
             name += "_"
         nodes = [call["input"]] if sources is None else sources
         inputs = [self.source(node) for node in nodes]
@@ -81,7 +81,10 @@ class LayerList:
         return name
 
     def source(self, node: Any) -> str:
-        """The name of the layer that computes a node's value; a layer's name stays as it is."""
+        """The name of the layer that computes a node's value.
+
+        If `node` is the name of a layer already, the result is this name.
+        """
         if isinstance(node, str):
             return node
         if isinstance(node, torch.Tensor):
@@ -98,9 +101,9 @@ class LayerList:
         return layer_shapes(self.layers, self._volume, tensors, partial=True)[self.source(node)]
 
     def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-        """The layers that a node's value needs, and the weights of these layers.
+        """The layers that are needed to compute a node's value, and the weights of these layers.
 
-        The last layer computes the value itself.
+        The last of these layers computes the value.
         """
         needed = {self.source(output)}
         expect_form(needed != {VOLUME}, "the volume itself")
@@ -109,11 +112,11 @@ class LayerList:
             if layer["name"] in needed:
                 needed.update(layer["inputs"])
                 layers.insert(0, layer)
-        used = {name for layer in layers for name in layer.get("weights", {}).values()}
-        return layers, {name: values for name, values in self.weights.items() if name in used}
+        used_names = {name for layer in layers for name in layer.get("weights", {}).values()}
+        return layers, {name: w for name, w in self.weights.items() if name in used_names}
 
     def tensors(self, call: Call, **roles: str) -> dict[str, str]:
-        """Keep tensors of the module that is called.
+        """Keep tensors of the called module as weights.
 
         Parameters
         ----------
@@ -134,6 +137,6 @@ class LayerList:
 
 
 def float_array(tensor: torch.Tensor) -> np.ndarray:
-    """The values of a floating-point tensor, as float32; other tensors are refused."""
+    """The values of a floating-point tensor as float32. A tensor of another type is refused."""
     expect_form(tensor.is_floating_point(), f"a weight of type {tensor.dtype}, not floating point,")
     return np.asarray(tensor.detach().cpu().float())

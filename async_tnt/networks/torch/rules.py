@@ -15,7 +15,7 @@ from async_tnt.networks.torch.layers import Call, LayerList, float_array
 
 
 def _pair(value: Any) -> list[int]:
-    """The sides [y, x] of a parameter that torch also accepts as one number."""
+    """A parameter of torch as sides [y, x]. Torch also accepts one number for both sides."""
     if isinstance(value, (tuple, list)):
         return [int(v) for v in value]
     return [int(value), int(value)]
@@ -24,25 +24,25 @@ def _pair(value: Any) -> list[int]:
 # -- with weights ----------------------------------------------------------------------------------
 
 
-def conv(made: LayerList, call: Call) -> str:
+def conv(layer_list: LayerList, call: Call) -> str:
     module = call.module
     expect_form(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
     kernel = _pair(module.kernel_size)
     dilation = _pair(module.dilation)
     if module.padding == "same":
-        # torch puts the extra place of an odd padding at the end
-        total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
-        before = [n // 2 for n in total]
-        after = [n - n // 2 for n in total]
+        # if the padding is odd, torch puts the extra place at the end
+        total_padding = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
+        before = [n // 2 for n in total_padding]
+        after = [n - n // 2 for n in total_padding]
         padding = before + after
     elif module.padding == "valid":
         padding = [0, 0, 0, 0]
     else:
         padding = 2 * _pair(module.padding)
-    return made.add(
+    return layer_list.add(
         "conv",
         call,
-        weights=made.tensors(call, weight="weight", bias="bias"),
+        weights=layer_list.tensors(call, weight="weight", bias="bias"),
         kernel=kernel,
         stride=_pair(module.stride),
         padding=padding,
@@ -51,88 +51,90 @@ def conv(made: LayerList, call: Call) -> str:
     )
 
 
-def linear(made: LayerList, call: Call) -> str:
-    return made.add("dense", call, weights=made.tensors(call, weight="weight", bias="bias"))
+def linear(layer_list: LayerList, call: Call) -> str:
+    return layer_list.add(
+        "dense", call, weights=layer_list.tensors(call, weight="weight", bias="bias")
+    )
 
 
-def batch_norm(made: LayerList, call: Call) -> str:
+def batch_norm(layer_list: LayerList, call: Call) -> str:
     module = call.module
     uses_statistics = module.running_mean is not None and not module.training
     expect_form(uses_statistics, "a batch norm that does not use running statistics")
-    weights = made.tensors(
+    weights = layer_list.tensors(
         call, mean="running_mean", variance="running_var", weight="weight", bias="bias"
     )
-    return made.add("batch_norm", call, weights=weights, epsilon=module.eps)
+    return layer_list.add("batch_norm", call, weights=weights, epsilon=module.eps)
 
 
 # -- activations -----------------------------------------------------------------------------------
 
 
-def leaky_relu(made: LayerList, call: Call) -> str:
-    return made.add("leaky_relu", call, slope=float(call["negative_slope"]))
+def leaky_relu(layer_list: LayerList, call: Call) -> str:
+    return layer_list.add("leaky_relu", call, slope=float(call["negative_slope"]))
 
 
-def prelu(made: LayerList, call: Call) -> str:
-    return made.add("prelu", call, weights=made.tensors(call, slope="weight"))
+def prelu(layer_list: LayerList, call: Call) -> str:
+    return layer_list.add("prelu", call, weights=layer_list.tensors(call, slope="weight"))
 
 
-def clamp(made: LayerList, call: Call) -> str:
-    return _clip(made, call, call["min"], call["max"])
+def clamp(layer_list: LayerList, call: Call) -> str:
+    return _clip(layer_list, call, call["min"], call["max"])
 
 
-def hardtanh(made: LayerList, call: Call) -> str:
-    return _clip(made, call, call["min_val"], call["max_val"])
+def hardtanh(layer_list: LayerList, call: Call) -> str:
+    return _clip(layer_list, call, call["min_val"], call["max_val"])
 
 
-def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
+def _clip(layer_list: LayerList, call: Call, low: Any, high: Any) -> str:
     for value in (low, high):
         expect_form(value is None or isinstance(value, (int, float)), "a limit that is no number")
-    return made.add("clip", call, low=low, high=high)
+    return layer_list.add("clip", call, low=low, high=high)
 
 
-def softshrink(made: LayerList, call: Call) -> str:
-    return made.add("softshrink", call, [call["input"]], lambd=float(call["lambd"]))
+def softshrink(layer_list: LayerList, call: Call) -> str:
+    return layer_list.add("softshrink", call, [call["input"]], lambd=float(call["lambd"]))
 
 
-def gelu(made: LayerList, call: Call) -> str:
+def gelu(layer_list: LayerList, call: Call) -> str:
     approximate = call["approximate"]
     expect_form(approximate in ("none", "tanh"), f"approximate {approximate!r}")
-    return made.add("gelu" if approximate == "none" else "gelu_tanh", call)
+    return layer_list.add("gelu" if approximate == "none" else "gelu_tanh", call)
 
 
 # -- pooling ---------------------------------------------------------------------------------------
 
 
-def max_pool(made: LayerList, call: Call) -> str:
+def max_pool(layer_list: LayerList, call: Call) -> str:
     expect_form(_pair(call["dilation"]) == [1, 1], "dilation")
     expect_form(not call.arguments.get("return_indices"), "return_indices")
-    return _pool(made, call, "max_pool")
+    return _pool(layer_list, call, "max_pool")
 
 
-def average_pool(made: LayerList, call: Call) -> str:
+def average_pool(layer_list: LayerList, call: Call) -> str:
     if call["divisor_override"] is not None:
         expect_form(call["divisor_override"] == 1, "divisor_override")
-        return _pool(made, call, "sum_pool")
+        return _pool(layer_list, call, "sum_pool")
     is_padded = any(_pair(call["padding"]))
     is_counted = bool(call["count_include_pad"])
     can_count = not (call["ceil_mode"] and is_padded and is_counted)
     expect_form(can_count, "ceil_mode with padding that counts")
     if call["ceil_mode"] or (is_padded and not is_counted):
-        return _pool(made, call, "inside_average_pool")
-    return _pool(made, call, "average_pool")
+        return _pool(layer_list, call, "inside_average_pool")
+    return _pool(layer_list, call, "average_pool")
 
 
-def _pool(made: LayerList, call: Call, op: str) -> str:
+def _pool(layer_list: LayerList, call: Call, op: str) -> str:
     kernel = _pair(call["kernel_size"])
     stride = _pair(call["stride"] or call["kernel_size"])
     padding = 2 * _pair(call["padding"])
     if call["ceil_mode"]:
-        sides = made.shape(call["input"])[1:]
+        sides = layer_list.shape(call["input"])[1:]
         expect_form(len(sides) == 2, "a pooling of a vector")
         for axis, side in enumerate(sides):
             needed = _padding_at_the_end(side, kernel[axis], stride[axis], padding[axis])
             padding[2 + axis] = max(padding[2 + axis], needed)
-    return made.add(op, call, kernel=kernel, stride=stride, padding=padding)
+    return layer_list.add(op, call, kernel=kernel, stride=stride, padding=padding)
 
 
 def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int:
@@ -147,63 +149,63 @@ def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int
     return last * stride + kernel - before - side
 
 
-def adaptive_pool(made: LayerList, call: Call) -> str:
+def adaptive_pool(layer_list: LayerList, call: Call) -> str:
     size = call["output_size"]
     if size in (1, (1, 1), [1, 1]):
-        return made.add("global_average_pool", call)
-    wanted = size if isinstance(size, (tuple, list)) else (size, size)
-    sides = made.shape(call["input"])[1:]
-    expect_form(len(sides) == len(wanted) == 2, f"an output size of {size} here")
-    if wanted[0] is None and wanted[1] is None:
-        return same_layer(made, call)
-    sizes = [n or side for n, side in zip(wanted, sides, strict=True)]  # None keeps the side
-    return made.add("adaptive_average_pool", call, size=sizes)
+        return layer_list.add("global_average_pool", call)
+    wanted_sides = size if isinstance(size, (tuple, list)) else (size, size)
+    sides = layer_list.shape(call["input"])[1:]
+    expect_form(len(sides) == len(wanted_sides) == 2, f"an output size of {size} here")
+    if wanted_sides[0] is None and wanted_sides[1] is None:
+        return same_layer(layer_list, call)
+    sizes = [n or side for n, side in zip(wanted_sides, sides, strict=True)]  # None keeps the side
+    return layer_list.add("adaptive_average_pool", call, size=sizes)
 
 
-def mean(made: LayerList, call: Call) -> str:
+def mean(layer_list: LayerList, call: Call) -> str:
     axes = call["dim"]
     if isinstance(axes, (tuple, list)):
         axes = sorted(axis % 4 for axis in axes)
     expect_form(axes == [2, 3], f"a mean over {axes}, not over all places (2, 3),")
-    pooled = made.add("global_average_pool", call)
+    pooled = layer_list.add("global_average_pool", call)
     if call["keepdim"]:
         return pooled
-    return made.add("flatten", call, [pooled])
+    return layer_list.add("flatten", call, [pooled])
 
 
 # -- sums, products, concatenations ----------------------------------------------------------------
 
 
-def add(made: LayerList, call: Call) -> str:
+def add(layer_list: LayerList, call: Call) -> str:
     expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
     x, constant = _with_constant(call)
     if constant is None:
-        return made.add("add", call, [call["input"], call["other"]])
-    return _affine(made, call, x, bias=constant)
+        return layer_list.add("add", call, [call["input"], call["other"]])
+    return _affine(layer_list, call, x, bias=constant)
 
 
-def subtract(made: LayerList, call: Call) -> str:
+def subtract(layer_list: LayerList, call: Call) -> str:
     expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
     x, constant = _with_constant(call)
     if constant is None or x is not call["input"]:
         raise NotImplementedError(
             "a difference other than a map less a constant has no compiled form"
         )
-    return _affine(made, call, x, bias=-constant)
+    return _affine(layer_list, call, x, bias=-constant)
 
 
-def multiply(made: LayerList, call: Call) -> str:
+def multiply(layer_list: LayerList, call: Call) -> str:
     x, constant = _with_constant(call)
     if constant is None:
         raise NotImplementedError("a product of two maps has no compiled form")
-    return _affine(made, call, x, weight=constant)
+    return _affine(layer_list, call, x, weight=constant)
 
 
-def divide(made: LayerList, call: Call) -> str:
+def divide(layer_list: LayerList, call: Call) -> str:
     x, constant = _with_constant(call)
     if constant is None or x is not call["input"] or call.arguments.get("rounding_mode"):
         raise NotImplementedError("a quotient other than a map by a constant has no compiled form")
-    return _affine(made, call, x, weight=1 / constant)
+    return _affine(layer_list, call, x, weight=1 / constant)
 
 
 def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
@@ -222,49 +224,51 @@ def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
     return x, None
 
 
-def _affine(made: LayerList, call: Call, x: Any, **constants: torch.Tensor) -> str:
+def _affine(layer_list: LayerList, call: Call, x: Any, **constants: torch.Tensor) -> str:
     """Add a batch norm that adds a constant `bias` to x, or multiplies x by a constant `weight`.
 
     The constant has one number, or one for each channel. Returns the name of the layer.
     """
     constants |= {"mean": torch.zeros(1), "variance": torch.ones(1)}
-    channels, *sides = made.shape(x)
-    of_channels = [channels, *[1] * len(sides)]
+    channels, *sides = layer_list.shape(x)
+    channel_shape = [channels, *[1] * len(sides)]
     weights = {}
     for role, values in constants.items():
         shape = list(values.shape)
         while shape[:1] == [1]:
             del shape[0]
-        expect_form(shape in ([], of_channels), f"a constant of shape {list(values.shape)} here")
-        name = f"{made.prefix}{call.node.name}().{role}"  # no module's tensor has () in its name
+        expect_form(shape in ([], channel_shape), f"a constant of shape {list(values.shape)} here")
+        name = (
+            f"{layer_list.prefix}{call.node.name}().{role}"  # no module's tensor has () in its name
+        )
         weights[role] = name
-        made.weights[name] = float_array(values.reshape(-1).expand(channels))
-    return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
+        layer_list.weights[name] = float_array(values.reshape(-1).expand(channels))
+    return layer_list.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
 
 
-def concatenate(made: LayerList, call: Call) -> str:
+def concatenate(layer_list: LayerList, call: Call) -> str:
     axis = call["dim"]
     expect_form(axis in (1, -3), f"a concatenation along axis {axis}, not of channels (1),")
     expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
-    return made.add("concat", call, call["tensors"])
+    return layer_list.add("concat", call, call["tensors"])
 
 
 # -- the order of numbers --------------------------------------------------------------------------
 
 
-def pixel_shuffle(made: LayerList, call: Call) -> str:
-    return made.add("depth_to_space", call, block=call["upscale_factor"])
+def pixel_shuffle(layer_list: LayerList, call: Call) -> str:
+    return layer_list.add("depth_to_space", call, block=call["upscale_factor"])
 
 
-def flatten(made: LayerList, call: Call) -> str:
+def flatten(layer_list: LayerList, call: Call) -> str:
     first = call["start_dim"]
     last = call["end_dim"]
     is_whole = (first, last) == (1, -1)
     expect_form(is_whole, f"a flatten from axis {first} to {last}, not from 1 to -1,")
-    return made.add("flatten", call)
+    return layer_list.add("flatten", call)
 
 
-def view(made: LayerList, call: Call) -> str:
+def view(layer_list: LayerList, call: Call) -> str:
     """Add a flatten for x.view(n, m), where n is the batch size, 1 or -1, and m a whole number.
 
     `check_torch_layers` finds out whether m fits.
@@ -273,7 +277,7 @@ def view(made: LayerList, call: Call) -> str:
     n, m = shape if len(shape) == 2 else (None, None)
     is_one_row = n in (1, -1) or _is_batch_size(n)
     expect_form(isinstance(m, int) and is_one_row, "a view other than (n, -1), one row a volume,")
-    return made.add("flatten", call)
+    return layer_list.add("flatten", call)
 
 
 def view_arguments(node: fx.Node) -> dict[str, Any]:
@@ -296,6 +300,6 @@ def _is_batch_size(node: Any) -> bool:
     return node.target == "size" and list(node.args[1:]) == [0]
 
 
-def dropout(made: LayerList, call: Call) -> str:
+def dropout(layer_list: LayerList, call: Call) -> str:
     expect_form(not call["training"], "a dropout in training mode, also in evaluation,")
-    return same_layer(made, call)
+    return same_layer(layer_list, call)
