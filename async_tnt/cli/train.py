@@ -299,7 +299,7 @@ def _other_motions(
 
 def _note_motions(record: dict[str, Any]) -> None:
     """Print in how many windows a motion was found, and how well simulation matches recordings."""
-    from async_tnt.resynthesis.calibration import side_by_side, unlike
+    from async_tnt.resynthesis.calibration import differing_numbers, side_by_side
 
     text = f"motion found in {record['with_path']} of {record['windows']} windows"
     if record["with_neighbours"]:
@@ -319,7 +319,7 @@ def _note_motions(record: dict[str, Any]) -> None:
             "which one object moves as a whole by two pixels and more, with a few hundred events: "
             "try another --window-us, or --roi with --crop"
         )
-    names = unlike(record["match"])
+    names = differing_numbers(record["match"])
     if names:
         note(
             f"warning: recorded and simulated windows differ in {', '.join(names)}: compare "

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
-from async_tnt.resynthesis.calibration import _scaled, calibrate, describe, unlike
+from async_tnt.resynthesis.calibration import (
+    _scale_thresholds,
+    calibrate,
+    describe,
+    differing_numbers,
+)
 from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
@@ -184,7 +189,7 @@ def test_thresholds_are_scaled_until_there_are_as_many_events():
     drawn = []
     for seed in (0, 1):
         images = [Image(), Image()]
-        pixels, events = _scaled(SimulatedPixels(MeasuredPixels()), images, 500, seed)
+        pixels, events = _scale_thresholds(SimulatedPixels(MeasuredPixels()), images, 500, seed)
         assert pixels.scale == pytest.approx(4, rel=0.005)
         assert [len(one) for one in events] == pytest.approx([250, 250], abs=2)
         drawn += [image.drawn for image in images]
@@ -196,8 +201,8 @@ def test_numbers_that_differ_by_a_third_are_unlike():
     """Either way. Intervals below a microsecond are alike."""
     recorded = {"a": 4.0, "b": 4.0, "c": 3.0, "d": 3.0, "e": 0.0, "f": 0.0}
     found = {"a": 3.0, "b": 3.01, "c": 4.0, "d": 3.99, "e": 1e-3, "f": 2e-3}
-    assert unlike({"recorded": recorded, "resynthesized": found}) == ["a", "c", "f"]
-    assert unlike({"recorded": found, "resynthesized": recorded}) == ["a", "c", "f"]
+    assert differing_numbers({"recorded": recorded, "resynthesized": found}) == ["a", "c", "f"]
+    assert differing_numbers({"recorded": found, "resynthesized": recorded}) == ["a", "c", "f"]
 
 
 def test_other_motions_are_half_to_double_as_long_and_nearer_to_the_middle(monkeypatch):

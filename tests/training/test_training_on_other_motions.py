@@ -13,7 +13,7 @@ from moving_scenes import WINDOW_US, blobs, noise, recorded, straight
 pytest.importorskip("torch")
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.resynthesis.calibration import side_by_side, unlike
+from async_tnt.resynthesis.calibration import differing_numbers, side_by_side
 from async_tnt.resynthesis.reconstruction import SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels
 from async_tnt.training.fitting import fit
@@ -83,7 +83,7 @@ def test_a_damaged_description_of_the_motions_is_named(windows, made, tmp_path):
             assert str(folder) in str(error) and "\n" not in str(error) and len(str(error)) < 800
         else:
             match = motions.record["match"]
-            assert side_by_side(match) and unlike(match) is not None
+            assert side_by_side(match) and differing_numbers(match) is not None
             pixels = motions.record["pixels"]
             SimulatedPixels(MeasuredPixels(**pixels["measured"]), pixels["scale"])
     assert n_refused > 150
