@@ -1,8 +1,8 @@
 """Motion re-synthesis: the events that a recorded object would have given under another motion.
 
-The events of a window tell the path on which an image moved (`paths`), and the image itself
+The events of a window tell the path on which an image moved (module `paths`), and the image itself
 (`moving_image`). Then the image is moved on another path, and its events are simulated
-(`reconstruction`). `calibration` finds the parameters of the simulated pixels.
+(`reconstruction`). The module `calibration` finds the parameters of the simulated pixels.
 
 `async-tnt train` uses this package if it is asked for re-synthesized motions. None of the package's
 names is public.

@@ -3,9 +3,9 @@
 Events do not tell these values directly. So the recorded motion is simulated with several values,
 and the simulated events are compared with the recorded ones.
 
-Events tell contrast only in units of the pixels' thresholds. And an image that is found from events
-is smoother than the scene. So the thresholds are scaled until the re-synthesized motion has as many
-events as the recordings.
+Events tell contrast only in units of the pixels' thresholds, and an image that is found from events
+is smoother than the scene. So the thresholds are scaled until the simulated windows have as many
+events as the recorded ones.
 
 The intervals between a pixel's events give only an upper bound of its refractory time. So several
 refractory times within the bound are tried, each with its own scale of the thresholds. The choice
@@ -43,8 +43,8 @@ MOST_STEPS = 8
 """Most steps in which the scale of the thresholds is searched."""
 NEAR_ENOUGH = 0.005
 """Deviation of the number of events, as a share, at which the search for the scale ends."""
-UNLIKE = 4 / 3
-"""Ratio between a simulated and a recorded number that is worth a warning."""
+WARNING_RATIO = 4 / 3
+"""Ratio between a simulated and a recorded number, in either order, that is worth a warning."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Calibration:
     pixels : the simulated sensor.
     length : median length of the recorded paths, in pixels.
     match : "recorded" -> the numbers of `describe` for the recorded windows, and "resynthesized" ->
-        the same numbers for the recorded motion, re-synthesized.
+        the same numbers for windows that are simulated with the recorded motion.
     """
 
     pixels: SimulatedPixels
@@ -70,8 +70,8 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
     Parameters
     ----------
     reconstruction : finds the paths and the images of these windows.
-    windows : windows of recordings, with or without their neighbours' events. A hundred windows are
-        enough.
+    windows : windows of recordings, with or without the events of the neighbouring windows. A
+        hundred windows are enough.
     seed : seed of the simulation.
 
     Raises
@@ -106,29 +106,37 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
     shares = REFRACTORY_SHARES if measured.refractory_us else (0.0,)
     for share in shares:
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
-        pixels, simulated = _scaled(pixels, images, n_events, seed)
-        found = describe(simulated, model.sensor)
-        candidates.append((_difference(found, target), pixels, found))
-    _, pixels, found = min(candidates, key=lambda candidate: candidate[0])
-    numbers = {"recorded": target, "resynthesized": found}
-    return Calibration(pixels, float(np.median(lengths)), numbers)
+        pixels, simulated = _scale_thresholds(pixels, images, n_events, seed)
+        numbers = describe(simulated, model.sensor)
+        candidates.append((_difference(numbers, target), pixels, numbers))
+    _, pixels, numbers = min(candidates, key=lambda candidate: candidate[0])
+    match = {"recorded": target, "resynthesized": numbers}
+    return Calibration(pixels, float(np.median(lengths)), match)
 
 
-def _difference(found: Mapping[str, float], target: Mapping[str, float]) -> float:
+def _difference(numbers: Mapping[str, float], target: Mapping[str, float]) -> float:
     """How much the `INTERVALS` of two descriptions differ: the sum of |log ratio|."""
-    ratios = [max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS) for name in INTERVALS]
+    ratios = [max(numbers[name], CLOCK_MS) / max(target[name], CLOCK_MS) for name in INTERVALS]
     return float(sum(abs(np.log(ratio)) for ratio in ratios))
 
 
-def _scaled(
+def _scale_thresholds(
     pixels: SimulatedPixels, images: Sequence[MovedImage], n_events: int, seed: int
 ) -> tuple[SimulatedPixels, list[np.ndarray]]:
-    """Scale the thresholds until the recorded motion, re-synthesized, has `n_events` events.
+    """Scale the thresholds until all images together have `n_events` events in the recorded motion.
+
+    Parameters
+    ----------
+    pixels : the simulated pixels with the first scale.
+    images : the images of the windows.
+    n_events : number of events of the recorded windows.
+    seed : seed of the simulation.
 
     Returns
     -------
     The pixels with this scale, and the simulated events of each image.
     """
+    # with thresholds that are twice as high, pixels have about half as many events
     ratio = 1.0
     for _ in range(MOST_STEPS):
         pixels = replace(pixels, scale=pixels.scale * ratio)
@@ -166,8 +174,8 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
         pixel = events["y"].astype(np.int64) * sensor[0] + events["x"]
         # the sort is stable: the events of each pixel stay in order of time
         order = np.argsort(pixel, kind="stable")
-        same = np.diff(pixel[order]) == 0
-        intervals.append(np.diff(events["t"][order])[same])
+        is_same_pixel = np.diff(pixel[order]) == 0
+        intervals.append(np.diff(events["t"][order])[is_same_pixel])
         n_active += len(np.unique(pixel))
         n_on += int((events["p"] == 1).sum())
     all_intervals = np.concatenate(intervals)
@@ -186,7 +194,7 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
 
 
 def differing_numbers(match: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """The names of the numbers of `Calibration.match` that differ by a factor of `UNLIKE` or more.
+    """The names of the numbers of `Calibration.match` that differ by `WARNING_RATIO` or more.
 
     Examples
     --------
@@ -197,10 +205,11 @@ def differing_numbers(match: Mapping[str, Mapping[str, float]]) -> list[str]:
     """
     names = []
     for name, recorded in match["recorded"].items():
-        # `CLOCK_MS` is a bound for intervals. It changes no other number, as these are larger.
+        # `CLOCK_MS` is a bound for intervals. The other numbers are larger, so it does not change
+        # them.
         simulated = max(match["resynthesized"][name], CLOCK_MS)
         ratio = max(recorded, CLOCK_MS) / simulated
-        if not 1 / UNLIKE < ratio < UNLIKE:
+        if not 1 / WARNING_RATIO < ratio < WARNING_RATIO:
             names.append(name)
     return names
 
@@ -215,7 +224,7 @@ def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
 
     Parameters
     ----------
-    columns : title -> description, see `describe`. A missing number is shown as -.
+    columns : title of a column -> description, see `describe`. A missing number is shown as -.
     """
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     labels = {}

@@ -21,10 +21,11 @@ phase and does nothing else. So the frequencies are independent, and the solutio
     E(L | c, r) = b / (h + Q)
     log p(c | r) - log p(c | no image) = 1/2 sum_q |b|^2 / (h + Q) - log(1 + h / Q)
 
-D takes the differences of neighbouring cells. The last line is the *evidence* of a path, an average
-over all images. It grows with the part of the signal that the path explains. It shrinks with the
-freedom that the path leaves to the image. Frequencies above `BAND` tell little about the path and
-are left out.
+D takes the differences of neighbouring cells. The last line is the *evidence* of a path: how
+probable the path makes the events, in the mean over all images. It has two terms. The first one
+grows with the part of the signal that the path explains. The second one is subtracted. It is larger
+for a path that could also explain many other signals. Frequencies above `BAND` tell little about
+the path and are left out.
 
 Once the path is known, the image is found. It is as sharp as its events tell, and flat where they
 tell nothing:
@@ -33,9 +34,9 @@ tell nothing:
     g'(z) = SPARSENESS (sqrt(u^2 + 1) - u),  u = z / (2 EDGE)
 
 The first term is the likelihood. The second term prefers few edges to many small ones, for two
-reasons. It removes the small edges that noise leaves everywhere, which would give events under
-another motion. And it continues edges that run along the motion, which have no events. Total
-variation, with the same g' everywhere, would do both, too. But it flattens all edges, and most of
+reasons. It removes the small edges that noise leaves everywhere, because they would give events
+under another motion. And it continues edges that run along the motion, because they have no events.
+Total variation, with the same g' everywhere, would do both, too. But it flattens all edges, most of
 all those along the motion. With this g, an edge well above `EDGE` costs little more than a small
 edge.
 """
@@ -69,8 +70,8 @@ MOST_CELLS = 80
 OBJECT_CELLS = 16
 """Wanted number of cells across the moving object."""
 FEWEST_CELLS = 40
-"""Fewest cells along the sensor's longer side. With large cells short paths are missed: a path of
-two pixels is not seen in cells of four pixels."""
+"""Fewest cells along the sensor's longer side. With large cells short paths are missed. For
+example, a path of two pixels does not show in cells of four pixels."""
 MARGIN = 14
 """Number of cells beyond the sensor. Without them, an object that leaves the sensor on one side
 would come in on the other side, as on any torus."""
@@ -99,7 +100,8 @@ class MovingImage:
     rows, columns : number of cells of the sensor.
     shape : (rows, columns) of the torus. Both are odd, so that only frequency 0 is its own
         opposite.
-    whitening : float64, (K, K): W with W V W^T = 1. V is that of the mean of a cell's pixels.
+    whitening : float64, (K, K): W with W V W^T = 1. Here V is the covariance of the mean over a
+        cell's pixels, which is 1 / cell^2 of a pixel's.
     """
 
     def __init__(self, sensor: tuple[int, int], window_us: int, cell: int = 1) -> None:
@@ -132,7 +134,10 @@ class MovingImage:
 
     @cached_property
     def band_weights(self) -> np.ndarray:
-        """The weight of each qx of the band: 2 if its opposite is left out, 1 for qx = 0."""
+        """The weight of each qx of the band: 1 for qx = 0, and 2 for the others.
+
+        These count twice, because the negative qx are left out.
+        """
         return np.where(self.band[0] > 0, 2.0, 1.0)
 
     @cached_property
@@ -153,15 +158,15 @@ class MovingImage:
         ----------
         windows : N windows.
         pixels : the pixels that recorded the windows.
-        span : number of consecutive windows that the frames cover. Each of the N windows is in the
-            middle of its own.
+        span : number of consecutive windows that the frames cover. Each of the N windows is the
+            middle one of them.
         """
         frames = np.empty((len(windows), N_FRAMES, self.rows, self.columns))
         for window, out in zip(windows, frames, strict=True):
             part = part_of(window, self.window_us, span)
-            seen = ~is_after_pulse(part)
+            is_kept = ~is_after_pulse(part)
             contrast_frames(
-                *[column[seen] for column in part],
+                *[column[is_kept] for column in part],
                 span * self.window_us,
                 pixels.step_on,
                 pixels.step_off,
@@ -204,22 +209,23 @@ class MovingImage:
         Returns
         -------
         The evidence E, its gradient dE/dr, (K, 2), and its curvature, (2K, 2K). The curvature is
-        minus the second derivative with fixed images, in the Gauss-Newton approximation.
+        minus the second derivative of E for fixed images, in the Gauss-Newton approximation.
         """
         qx, qy = self.band
         gradient = np.empty((N_FRAMES, 2))
-        moving = np.empty(band.shape[1:], np.complex128)
-        found = evidence_terms(
-            band, path, qx, qy, self.band_weights, self.band_prior, self.whitening, gradient, moving
+        phases = np.empty(band.shape[1:], np.complex128)  # see `evidence_terms`
+        evidence = evidence_terms(
+            band, path, qx, qy, self.band_weights, self.band_prior, self.whitening, gradient, phases
         )
-        inverse = self.whitening.T @ self.whitening
+        inverse = self.whitening.T @ self.whitening  # V^-1
         q = np.stack([np.tile(qx, len(qy)), np.repeat(qy, len(qx))])  # (2, F)
         curvature = np.empty((N_FRAMES, 2, N_FRAMES, 2))
+        # the second derivatives in x and x, x and y, y and y
         for i, j in ((0, 0), (0, 1), (1, 1)):
-            part = (moving.conj().T @ ((q[i] * q[j])[:, None] * moving)).real * inverse
+            part = (phases.conj().T @ ((q[i] * q[j])[:, None] * phases)).real * inverse
             curvature[:, i, :, j] = part
             curvature[:, j, :, i] = part.T
-        return found, gradient, curvature.reshape(2 * N_FRAMES, 2 * N_FRAMES)
+        return evidence, gradient, curvature.reshape(2 * N_FRAMES, 2 * N_FRAMES)
 
     def explained(self, band: np.ndarray, path: np.ndarray) -> float:
         """The share of one window's signal that a path explains, from 0 to 1.
@@ -233,7 +239,7 @@ class MovingImage:
         weights = np.tile(self.band_weights, len(self.band[1]))
         h = (np.abs(white) ** 2).sum(1)
         b = (white.conj() * band).sum(1)
-        mean = b / (h + self.band_prior)
+        mean = b / (h + self.band_prior)  # the posterior mean of the image
         explained = weights * (2 * (mean.conj() * b).real - h * np.abs(mean) ** 2)
         power = float((weights * (np.abs(band) ** 2).sum(1)).sum())
         return float(explained.sum()) / max(power, 1e-12)
@@ -243,20 +249,20 @@ def cell_for(windows: Sequence[Columns], sensor: tuple[int, int]) -> int:
     """Choose the number of sensor pixels along a side of a cell.
 
     The moving object is to be about `OBJECT_CELLS` cells across. Its size in a window is the extent
-    of the middle 70 % of the events, in x or in y, whichever is larger. The median over the windows
-    counts.
+    of the middle 70 % of the events, in x or in y, whichever is larger. The object's size is the
+    median over the windows.
     """
-    reach = []
+    sizes = []
     for _, x, y, _ in windows:
         if len(x):
-            reach.append(max(np.ptp(np.quantile(axis, (0.15, 0.85))) for axis in (x, y)))
-    wanted = round(float(np.median(reach)) / OBJECT_CELLS) if reach else 1
+            sizes.append(max(np.ptp(np.quantile(axis, (0.15, 0.85))) for axis in (x, y)))
+    wanted = round(float(np.median(sizes)) / OBJECT_CELLS) if sizes else 1
     least = -(-max(sensor) // MOST_CELLS)
     return int(np.clip(wanted, least, max(least, max(sensor) // FEWEST_CELLS)))
 
 
 def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> np.ndarray:
-    """Find the images of N windows, each image at its place at the window's start.
+    """Find the images of N windows. Each image is where it was at the start of its path.
 
     The solver is ADMM (Boyd et al. 2011; for total variation: Goldstein and Osher 2009, the split
     Bregman method). It introduces z = D L and alternates two steps. For a fixed z, L has a closed
@@ -284,10 +290,12 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> n
     # `edges` is z, and `dual` is the dual variable of the constraint z = D L
     edges, dual = np.zeros((2, 2, len(spectra), *model.shape))
     for _ in range(STEPS):
-        along_x, along_y = np.fft.rfft2(edges - dual, norm="ortho")
-        pulled = forward_x.conj() * along_x + forward_y.conj() * along_y
-        spectrum = (b + coupling * pulled) / precision
+        # the image for fixed edges
+        edges_x, edges_y = np.fft.rfft2(edges - dual, norm="ortho")
+        divergence = forward_x.conj() * edges_x + forward_y.conj() * edges_y
+        spectrum = (b + coupling * divergence) / precision
         images = np.fft.irfft2(spectrum, model.shape, norm="ortho")
+        # the edges for a fixed image; `slopes` becomes D L + dual, in the memory of `dual`
         slopes = dual
         slopes[0] += np.roll(images, -1, axis=-1) - images
         slopes[1] += np.roll(images, -1, axis=-2) - images

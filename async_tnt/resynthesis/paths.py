@@ -11,10 +11,10 @@ The search finds a path in any window, even one with noise or with several objec
 cannot be relied on. So a path must pass three tests:
 
 - Its evidence exceeds that of all paths that lead the other way by `MIN_MARGIN`.
-- It explains a larger share of the signal than a path explains of noise with as many events.
+- It explains a larger share of the signal than any path explains of noise with as many events.
 - In each half of the picture (left, right, above and below the middle of the events) it is more
-  likely than its reverse. Two objects that move in opposite directions fail this test: in a half
-  with the other object, the reverse is more likely.
+  likely than its reverse. If two objects move in opposite directions, this test fails, because the
+  reverse is more likely in the half with the other object.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ DIRECTIONS = 16
 LENGTHS = (1.0, 1.75, 3.0, 5.0, 8.0, 12.0)
 """Lengths of the dictionary's paths, in cells."""
 PROFILES = ((0.0, 1.0), (0.0, 0.6), (0.2, 0.8), (0.4, 1.0))
-"""Speed profiles of the dictionary's paths: when the motion begins and ends, as shares of the
-window. One more profile has a constant speed."""
+"""Speed profiles of the dictionary's paths: the moments at which the motion begins and ends, as
+shares of the window. One more profile has a constant speed."""
 TURNS = (0.4, 0.55, 0.7, 0.85)
 """Moments at which paths that come back turn round, as shares of the window."""
 BACK_LENGTHS = LENGTHS[:4]
@@ -49,17 +49,17 @@ MOST_TRIES = 6
 LONGEST_STEP = 1.0
 """Largest distance by which a step may move a point, in cells."""
 SMALLEST_GAIN = 0.05
-"""Least gain of evidence by a step with which the search goes on."""
+"""Least gain of evidence of a step. After a step with a smaller gain the search ends."""
 
 MIN_EVENTS = 50
-"""Fewest events of a window whose path is relied on."""
+"""Fewest events from which a path can be relied on."""
 MIN_MARGIN = 6.0
 """Least evidence by which a path must exceed all paths that lead the other way."""
 MIN_LENGTH = 0.1
 """Least length of a path that counts as a motion, in pixels."""
 MOST_EXPLAINED = 0.5
-"""Largest share of the signal that a path must explain. The required share is the square of the
-number of events per cell, but at most this.
+"""Upper limit of the share of the signal that a path must explain. This share is the square of the
+number of events per cell, or `MOST_EXPLAINED` if the square is larger.
 
 Dense noise has paths with a large margin, but they explain little. With few events, noise has no
 such paths, and even real motions explain little of the signal. So the requirement is lower there.
@@ -117,23 +117,26 @@ class MotionPath:
 
     def at(self, shares: np.ndarray) -> np.ndarray:
         """Displacement since the window's start, in pixels, at `shares` of the window: (n, 2)."""
-        displacement: np.ndarray = self._since_the_start((self.span - 1) / 2 + shares) - self.before
+        # (span - 1) / 2 windows of the path are before this one
+        since_start = self._since_path_start((self.span - 1) / 2 + shares)
+        displacement: np.ndarray = since_start - self.window_start
         return displacement
 
     @property
-    def before(self) -> np.ndarray:
+    def window_start(self) -> np.ndarray:
         """Displacement from the path's start to the window's start, in pixels: (2,)."""
-        before: np.ndarray = self._since_the_start(np.array([(self.span - 1) / 2]))[0]
-        return before
+        displacement: np.ndarray = self._since_path_start(np.array([(self.span - 1) / 2]))[0]
+        return displacement
 
-    def _since_the_start(self, windows: np.ndarray) -> np.ndarray:
+    def _since_path_start(self, times: np.ndarray) -> np.ndarray:
         """Displacement since the path's start at n times, linear between the positions: (n, 2).
 
-        windows : the times since the path's start, in lengths of a window.
+        times : the times since the path's start, in lengths of a window.
         """
-        times = self.span * np.arange(N_FRAMES + 1) / N_FRAMES
+        known_times = self.span * np.arange(N_FRAMES + 1) / N_FRAMES
         positions = np.concatenate([np.zeros((1, 2)), self.positions])
-        return np.stack([np.interp(windows, times, positions[:, axis]) for axis in (0, 1)], axis=1)
+        columns = [np.interp(times, known_times, positions[:, axis]) for axis in (0, 1)]
+        return np.stack(columns, axis=1)
 
 
 class PathFinder:
@@ -141,7 +144,8 @@ class PathFinder:
 
     def __init__(self, model: MovingImage) -> None:
         self.model = model
-        # The second differences of K + 1 points: the path's start, which is 0, is a point, too.
+        # The second differences of K + 1 points. The first point is the path's start, which is 0,
+        # so its column is left out.
         bend = np.diff(np.eye(N_FRAMES + 1)[:, 1:], 2, axis=0) / BEND
         self._stiffness = bend.T @ bend
 
@@ -160,21 +164,21 @@ class PathFinder:
         model = self.model
         n_cells = model.rows * model.columns
         paths = []
-        for of_window, parts, scores, n in zip(
+        for window_band, half_bands, scores, n in zip(
             band, halves, self.scores(band), n_events, strict=True
         ):
             likeliest = self.dictionary[int(scores.argmax())]
-            positions, _ = self.refine(of_window[None], likeliest)
+            positions, _ = self.refine(window_band[None], likeliest)
             # in each half of the picture, the evidence of the path minus that of its reverse
             advantages = []
-            for part in parts:
-                forwards, _, _ = model.evidence(part[None], positions)
-                backwards, _, _ = model.evidence(part[None], -positions)
+            for half_band in half_bands:
+                forwards, _, _ = model.evidence(half_band[None], positions)
+                backwards, _, _ = model.evidence(half_band[None], -positions)
                 advantages.append(forwards - backwards)
             path = MotionPath(
                 positions * model.cell,
                 margin=self._margin(scores),
-                explained=model.explained(of_window, positions),
+                explained=model.explained(window_band, positions),
                 agreement=min(advantages),
                 n_events=n,
                 events_a_cell=n / n_cells,
@@ -185,14 +189,14 @@ class PathFinder:
 
     def scores(self, band: np.ndarray) -> np.ndarray:
         """Evidence of each of the dictionary's D paths for each of N windows, (N, D)."""
-        table, freedom = self._table
-        by_frequency = np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64)
-        explained = np.zeros((len(freedom), len(band)))
-        for by_path, spectra in zip(table, by_frequency, strict=True):
-            # (D, N): frequency by frequency, the product fits into the processor's cache
-            product = by_path @ spectra
+        table, penalties = self._table
+        spectra = np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64)  # (F, K, N)
+        explained = np.zeros((len(penalties), len(band)))
+        # frequency by frequency, so that each product fits into the processor's cache
+        for rows, spectrum in zip(table, spectra, strict=True):
+            product = rows @ spectrum  # (D, N)
             explained += product.real**2 + product.imag**2
-        evidence: np.ndarray = explained.T - freedom
+        evidence: np.ndarray = explained.T - penalties
         return evidence
 
     def refine(self, band: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, float]:
@@ -207,11 +211,11 @@ class PathFinder:
         -------
         The path, (K, 2) in cells, and its evidence.
         """
-        stiffness = np.kron(self._stiffness, np.eye(2))
+        stiffness = np.kron(self._stiffness, np.eye(2))  # the same in x and in y
         damping = 1e-2
         path = path.copy()
         evidence, gradient, curvature = self.model.evidence(band, path)
-        value = evidence - self._bending(path)
+        objective = evidence - self._bending(path)
         for _ in range(MOST_STEPS):
             slope = (gradient - self._stiffness @ path).ravel()
             matrix = curvature + stiffness
@@ -219,16 +223,16 @@ class PathFinder:
                 damped = matrix + damping * np.diag(matrix.diagonal())
                 step = np.linalg.solve(damped, slope).reshape(-1, 2)
                 trial = path + step * min(1.0, LONGEST_STEP / max(np.abs(step).max(), 1e-12))
-                found = self.model.evidence(band, trial)
-                gain = found[0] - self._bending(trial) - value
+                trial_terms = self.model.evidence(band, trial)
+                gain = trial_terms[0] - self._bending(trial) - objective
                 if gain > 0:
                     break
                 damping = max(8 * damping, 1e-3)
-            else:  # no damping gives a step that gains evidence
+            else:  # no damping led to a gain
                 break
             path = trial
-            evidence, gradient, curvature = found
-            value = value + gain
+            evidence, gradient, curvature = trial_terms
+            objective = objective + gain
             damping = damping / 4
             if gain < SMALLEST_GAIN:
                 break
@@ -239,26 +243,31 @@ class PathFinder:
         """The D straight paths with which a search begins: float64, (D, K, 2), in cells."""
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        share = np.arange(1, N_FRAMES + 1) / N_FRAMES
-        # A profile tells which share of its length a path is away from its start: (K,).
-        out = [share] + [minimum_jerk((share - start) / (end - start)) for start, end in PROFILES]
-        back = [(1 - np.cos(np.pi * share / turn)) / 2 for turn in TURNS]
+        time = np.arange(1, N_FRAMES + 1) / N_FRAMES
+        # A profile is the distance from the path's start at each time, as a share of the path's
+        # length: (K,).
+        one_way = [time] + [minimum_jerk((time - start) / (end - start)) for start, end in PROFILES]
+        with_return = [(1 - np.cos(np.pi * time / turn)) / 2 for turn in TURNS]
         paths = []
-        for lengths, profiles in ((LENGTHS, out), (BACK_LENGTHS, back)):
+        for lengths, profiles in ((LENGTHS, one_way), (BACK_LENGTHS, with_return)):
             # (directions, lengths, profiles, K, 2)
-            every = np.einsum("ad,l,pk->alpkd", direction, np.array(lengths), np.array(profiles))
-            paths.append(every.reshape(-1, N_FRAMES, 2))
+            product = np.einsum("ad,l,pk->alpkd", direction, np.array(lengths), np.array(profiles))
+            paths.append(product.reshape(-1, N_FRAMES, 2))
         return np.concatenate(paths)
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        """The two terms of the evidence of the dictionary's paths, for `scores`.
+        """The two terms of the evidence of the dictionary's D paths, for `scores`.
+
+        F is the number of frequencies of the band.
 
         Returns
         -------
-        table : complex64, (F, D, K). The squared absolute product with a window's spectrum, summed
-            over F, is the first term of the evidence: the signal that a path explains.
-        freedom : float64, (D,): the second term, which the freedom of the path takes away.
+        table : complex64, (F, D, K). Multiply it with a window's spectrum at each frequency, and
+            sum the squared absolute products over the frequencies. The result is the first term of
+            the evidence: the signal that a path explains.
+        penalties : float64, (D,): the second term of the evidence, which is subtracted. It is
+            larger for a path that could also explain many other signals.
         """
         model = self.model
         prior = model.band_prior
@@ -267,20 +276,21 @@ class PathFinder:
         white = white.reshape(len(self.dictionary), len(prior), N_FRAMES)
         h = (np.abs(white) ** 2).sum(-1)
         table = white.conj() * np.sqrt(0.5 * weights / (h + prior))[..., None]
-        freedom = 0.5 * (weights * np.log1p(h / prior)).sum(-1)
-        return np.ascontiguousarray(table.transpose(1, 0, 2), np.complex64), freedom
+        penalties = 0.5 * (weights * np.log1p(h / prior)).sum(-1)
+        return np.ascontiguousarray(table.transpose(1, 0, 2), np.complex64), penalties
 
     def _margin(self, scores: np.ndarray) -> float:
         """The evidence by which the best path exceeds all paths that lead the other way.
 
         scores : (D,), the evidence of the dictionary's paths for one window.
         """
-        # A path leads to the mean of its points: a path that comes back ends where it began.
-        leads = self.dictionary.mean(1)
-        # -1e-9 instead of 0: rounding must not make a perpendicular path a backward one
-        backwards = leads @ leads[int(scores.argmax())] < -1e-9
-        return float(scores.max() - scores[backwards].max())
+        # The direction of a path is that of the mean of its points, because a path that comes back
+        # may end near its start.
+        directions = self.dictionary.mean(1)
+        # -1e-9 instead of 0, because rounding must not make a perpendicular path a backward one
+        is_backward = directions @ directions[int(scores.argmax())] < -1e-9
+        return float(scores.max() - scores[is_backward].max())
 
     def _bending(self, path: np.ndarray) -> float:
-        """The evidence that the prior takes from a path because of its second differences."""
+        """The evidence that the prior subtracts because of a path's second differences."""
         return 0.5 * float((path * (self._stiffness @ path)).sum())

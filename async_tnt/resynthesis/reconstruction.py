@@ -1,9 +1,10 @@
-"""From the events of a window to its moving image and path, and to events under other motions.
+"""Find the image and the path of a window from its events, and simulate other motions of the image.
 
-Another motion is drawn at random, see `random_motion`. Its length is half to double the length of
-recorded motions. Its place at half time is drawn in two steps. First, a point between the object's
-recorded centre at half time and the sensor's centre. Then this point is moved in x and in y, by up
-to an eleventh of the sensor's smaller side (3 of 34 pixels).
+Another motion is drawn at random, see `random_motion`. Its length is between half and double the
+length of the recorded motions. The place of the object's centre at half time is drawn in two steps.
+First, a point is drawn on the line from the centre's recorded place at half time to the sensor's
+centre. Then this point is moved in x and in y, by up to an eleventh of the sensor's smaller side
+(3 of 34 pixels).
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ FINENESS = 3
 """Number of places of the image along a side of a cell. The image is interpolated between these
 places. With three of them, the interpolation does not blur it visibly."""
 SPAN = 3
-"""Number of windows in which a path is searched if the window alone does not tell it: the window
-before, the window itself, and the window after it."""
+"""Number of windows in which a path is searched if one window alone does not tell its path: the
+window before it, the window itself, and the window after it."""
 OTHER_LENGTHS = (0.5, 2.0)
 """Range of the length of another motion, as a share of the recorded length."""
 PLACE_SHARE = 1 / 11
 """Largest distance by which the object is moved in x and in y, as a share of the sensor's smaller
 side."""
 BATCH = 64
-"""Number of windows that are processed at a time. Their spectra and images take some 40 MB."""
+"""Number of windows that are processed at a time. Their spectra and images take about 40 MB."""
 THRESHOLD_SPREAD = 0.1
 """Standard deviation, over windows, of the log of the thresholds."""
 REFRACTORY_SPREAD = 0.4
@@ -88,12 +89,13 @@ class MovedImage:
         self.path = path
         # the middle of the first cell, in sensor pixels
         origin = (model.cell - 1) / 2
-        self._halfway = path.before + path.at(np.array([0.5]))[0]
+        # the displacement at half time, since the path's start
+        self._halfway = path.window_start + path.at(np.array([0.5]))[0]
         centre = origin + model.cell * centre_of(image) + self._halfway
         torus = model.cell * np.array(model.shape[::-1])
         middle = (np.array(model.sensor) - 1) / 2
-        # On the torus the centre has many equivalent places. Take the place that is nearest to the
-        # sensor's centre.
+        # Because of the torus, the centre has many equivalent places. Take the place that is
+        # nearest to the sensor's centre.
         self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
         start = self._centre - self._halfway
         self.picture = PeriodicImage(
@@ -102,7 +104,7 @@ class MovedImage:
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
         """Events of simulated `pixels` under the recorded motion. `rng` draws pixels and noise."""
-        displacement = self.path.before + self.path.at(shares())
+        displacement = self.path.window_start + self.path.at(shares())
         return self.events(displacement, np.zeros((N_PICTURES, 2)), pixels, rng)
 
     def moved(
@@ -122,10 +124,9 @@ class MovedImage:
         """
         motion, turn = random_motion(length * rng.uniform(*OTHER_LENGTHS), shares(), rng)
         middle = (np.array(self.model.sensor) - 1) / 2
-        aside = PLACE_SHARE * (min(self.model.sensor) - 1)
-        place = (
-            self._centre + rng.random() * (middle - self._centre) + rng.uniform(-aside, aside, 2)
-        )
+        most_px = PLACE_SHARE * (min(self.model.sensor) - 1)
+        to_middle = rng.random() * (middle - self._centre)
+        place = self._centre + to_middle + rng.uniform(-most_px, most_px, 2)
         displacement = self._halfway + (place - self._centre) + motion
         return self.events(displacement, turn, pixels, rng), motion - motion[0]
 
@@ -136,7 +137,7 @@ class MovedImage:
         pixels: SimulatedPixels,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Events of simulated `pixels` under any motion. `rng` draws pixels and noise.
+        """Events of simulated `pixels` under a given motion. `rng` draws pixels and noise.
 
         displacement, turn : the motion at the times `shares()`, see `PeriodicImage.frames`.
         """
@@ -145,7 +146,7 @@ class MovedImage:
 
 
 def shares() -> np.ndarray:
-    """The share of the window that has passed at each picture, from 0 to 1."""
+    """The share of the window that has passed at each of the `N_PICTURES`, from 0 to 1."""
     return np.linspace(0.0, 1.0, N_PICTURES)
 
 
@@ -174,24 +175,24 @@ class Reconstruction:
 
         Parameters
         ----------
-        windows : t, x, y, p of each window. If a window alone does not tell its path, the events of
-            its neighbours are used, too, if the window has them.
+        windows : t, x, y, p of each window. They may include events of the neighbouring windows.
+            These are used only if the window alone does not tell its path.
         pixels : the sensor's pixels, measured on recordings.
         """
         for first in range(0, len(windows), BATCH):
             batch = windows[first : first + BATCH]
-            found = self._reconstruct(batch, pixels, 1)
+            paths_and_images = self._reconstruct(batch, pixels, 1)
             # windows that do not tell their path alone, but have events of their neighbours
             unclear = [
                 i
                 for i, window in enumerate(batch)
-                if found[i][0].refused and self._has_neighbours(window)
+                if paths_and_images[i][0].refused and self._has_neighbours(window)
             ]
-            in_wider = self._reconstruct([batch[i] for i in unclear], pixels, SPAN)
-            for i, (path, image) in zip(unclear, in_wider, strict=True):
+            with_neighbours = self._reconstruct([batch[i] for i in unclear], pixels, SPAN)
+            for i, (path, image) in zip(unclear, with_neighbours, strict=True):
                 if not path.refused:
-                    found[i] = (path, image)
-            yield from found
+                    paths_and_images[i] = (path, image)
+            yield from paths_and_images
 
     def _has_neighbours(self, window: Columns) -> bool:
         """Whether a window also holds events of its neighbours."""
@@ -202,7 +203,10 @@ class Reconstruction:
     def _reconstruct(
         self, windows: Sequence[Columns], pixels: MeasuredPixels, span: int
     ) -> list[tuple[MotionPath, MovedImage | None]]:
-        """The path and the image of each window, found from the events of `span` windows."""
+        """The path and the image of each window, found from the events of `span` windows.
+
+        A window whose path cannot be relied on has no image.
+        """
         if not windows:
             return []
         model = self.model
@@ -213,13 +217,13 @@ class Reconstruction:
         band = model.band_of(spectra)
         paths = self._finder.find(band, self._halves(parts, frames, band), n_events, span)
 
-        moving = np.flatnonzero([not path.refused for path in paths])
-        positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2)
-        images = find_images(model, spectra[moving], positions / model.cell)
-        found: list[tuple[MotionPath, MovedImage | None]] = [(path, None) for path in paths]
-        for i, image in zip(moving, images, strict=True):
-            found[i] = (paths[i], MovedImage(model, image, paths[i]))
-        return found
+        reliable = np.flatnonzero([not path.refused for path in paths])
+        positions = np.array([paths[i].positions for i in reliable]).reshape(-1, N_FRAMES, 2)
+        images = find_images(model, spectra[reliable], positions / model.cell)
+        result: list[tuple[MotionPath, MovedImage | None]] = [(path, None) for path in paths]
+        for i, image in zip(reliable, images, strict=True):
+            result[i] = (paths[i], MovedImage(model, image, paths[i]))
+        return result
 
     def _halves(
         self, windows: Sequence[Columns], frames: np.ndarray, band: np.ndarray
@@ -236,14 +240,15 @@ class Reconstruction:
         """
         halves = np.empty((len(band), 4, *band.shape[1:]), np.complex128)
         for k, axis in enumerate((1, 2)):  # x and y in (t, x, y, p)
-            # set one half to 0: the band is then that of the other half, and the rest is this one's
-            cut = frames.copy()
-            for pictures, columns in zip(cut, windows, strict=True):
-                places = columns[axis]
-                middle = int(np.median(places)) // self.model.cell if len(places) else 0
-                # a frame is (rows, columns): its last axis is x
+            # The band of the first half comes from frames whose second half is set to 0. The band
+            # is linear in the frames, so the rest of it is that of the second half.
+            first_halves = frames.copy()
+            for pictures, columns in zip(first_halves, windows, strict=True):
+                positions = columns[axis]
+                middle = int(np.median(positions)) // self.model.cell if len(positions) else 0
+                # a frame is (rows, columns), so axis 1 (x) is its last axis
                 np.moveaxis(pictures, -axis, 0)[middle:] = 0
-            halves[:, 2 * k] = self.model.band_of(self.model.spectra(cut))
+            halves[:, 2 * k] = self.model.band_of(self.model.spectra(first_halves))
             halves[:, 2 * k + 1] = band - halves[:, 2 * k]
         return halves
 

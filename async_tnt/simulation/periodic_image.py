@@ -14,7 +14,7 @@ from async_tnt.simulation.simulator import PixelModel, simulate
 from async_tnt.volume.events import EVENT_DTYPE
 
 MOST_VALUES = 1 << 22
-"""Most values of frames in memory. A large sensor is simulated in bands of rows, one by one."""
+"""Most values of frames in memory. A large sensor is simulated in bands of rows, band by band."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class PeriodicImage:
 
     Parameters
     ----------
-    image : float64, (h, w): log luminance at h times w places; bilinear between the places.
+    image : float64, (h, w): log luminance at h times w places. It is bilinear between the places.
     step : number of places along a side of a sensor pixel.
-    origin : x, and equally y, of the first place, in sensor pixels.
+    origin : the x of the first place, in sensor pixels. Its y is the same.
     centre : float64, (2,): the point (x, y) about which the image turns, in sensor pixels.
     sensor : (width, height), in pixels.
     """
@@ -51,8 +51,8 @@ class PeriodicImage:
         turn : float64, (n, 2). The first column is the angle by which the image is turned about its
             centre, in radians, from x to y. The second column is the logarithm of the image's size.
             None: both are 0.
-        first : the first row of the sensor that the pictures have.
-        n_rows : number of rows that the pictures have. None: all rows from `first` on.
+        first : the first row of the sensor that is in the pictures.
+        n_rows : number of rows of the sensor in the pictures. None: all rows from `first` on.
 
         Returns
         -------
@@ -65,10 +65,11 @@ class PeriodicImage:
         cos = np.exp(-growth) * np.cos(angle)
         sin = np.exp(-growth) * np.sin(angle)
         # These matrices turn a displacement on the sensor into a displacement in the image.
-        back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)
+        to_image = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)
+        centre_on_sensor = self.centre + displacement
         places = np.empty((len(displacement), 2, 3))
-        places[..., :2] = back
-        places[..., 2] = self.centre - np.einsum("kij,kj->ki", back, self.centre + displacement)
+        places[..., :2] = to_image
+        places[..., 2] = self.centre - np.einsum("kij,kj->ki", to_image, centre_on_sensor)
         if n_rows is None:
             n_rows = height - first
         frames = np.empty((len(places), n_rows, width))
@@ -88,7 +89,7 @@ class PeriodicImage:
         Parameters
         ----------
         times_us : float64, (n,), increasing, in microseconds.
-        displacement, turn : where the image is at these times, see `frames`.
+        displacement, turn : the motion of the image at these times, see `frames`.
         pixels : the sensor's pixels.
         rng : draws the differences between pixels, and noise.
 
@@ -108,5 +109,5 @@ class PeriodicImage:
         events = np.concatenate(parts).astype(EVENT_DTYPE, copy=False)
         if len(parts) > 1:
             events = events[np.argsort(events["t"], kind="stable")]
-        # an event of the last half microsecond has been rounded up to the end
+        # times are rounded, so an event of the last half microsecond may be at the end
         return events[events["t"] < times_us[-1]]

@@ -4,16 +4,17 @@
 
 size        The ratio of the object's longer side to the sensor's shorter side is in a stated range.
 place       At half time all of the object is on the sensor, at a random place.
-posture     The object is a plane that is seen from aside: each corner is moved inwards by up to .08
-            of the object's size.
+posture     The object is a plane that is seen at an angle. So each corner is moved inwards by up to
+            .08 of the object's size.
 contrast    White is 2 to 15 times as bright as black, log-uniform. Bright and dark are as on the
             picture, or exchanged as on a negative.
 ground      The ground is that of the picture, or a random one. In half of the recordings it has a
             texture, 1/f, which moves with the object.
 lens        The lens blurs by .3 to .9 pixels.
 motion      The length is .06 to .5 of the sensor's shorter side, log-uniform. If the sensor follows
-            the object, it is up to 4. The object turns by up to 15 degrees, and grows by up to .15.
-            A quarter of the motions come back. See `random_motion`.
+            the object, the length is up to 4 times this side. The object turns by up to 15 degrees,
+            and the log of its size changes by up to .15. A quarter of the motions come back. See
+            `random_motion`.
 pixels      See `random_pixels`.
 """
 
@@ -40,7 +41,7 @@ LONGEST_FOLLOWED = 4.0
 MOST_TURN = np.radians(15.0)
 """Largest turn of a motion, in radians."""
 MOST_GROWTH = 0.15
-"""Largest growth of a motion, as the logarithm of the size."""
+"""Largest change of the logarithm of the object's size in a motion."""
 BACK = 0.25
 """Share of the motions that come back."""
 
@@ -62,17 +63,17 @@ APART = 0.25
 FINENESS = 2
 """Number of places of the image along a side of a sensor pixel."""
 FRAMES_A_PX = 2.0
-"""Number of frames for each pixel of a motion. So where the motion is faster, frames are closer
-together in time. The light changes linearly from one frame to the next."""
+"""Number of frames for each pixel of a motion. So frames are closer together in time when the
+motion is faster. The light changes linearly from one frame to the next."""
 FEWEST_FRAMES = 52
 """Number of frames of a recording without motion."""
 MOST_FRAMES = 500
 """Largest number of frames of a recording."""
 FINE = 4_000
-"""Number of moments at which a motion is computed, before its frames are chosen."""
+"""Number of moments at which a motion is computed, before the times of its frames are chosen."""
 LIGHTS = "positive", "negative", "both"
-"""Values of `SceneSettings.light`: bright and dark are as on the picture, as on its negative, or
-one of the two at random."""
+"""Values of `SceneSettings.light`. Bright and dark are as on the picture, or exchanged as on its
+negative, or one of the two is drawn for each recording."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class SceneSettings:
     light : one of `LIGHTS`.
     follow : whether the sensor is a crop of a larger sensor. The crop follows the object in steps
         of whole pixels.
-    camera : measured pixels of the camera; None: nothing is known of them.
+    camera : measured pixels of the camera; None: the pixels were not measured.
     """
 
     sensor: tuple[int, int]
@@ -126,7 +127,7 @@ def record_picture(
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
     scene = _scene(picture, side_px, reach, settings, rng)
 
-    # At half time the object is anywhere on the sensor, but all of it.
+    # At half time the object is anywhere on the sensor, but completely on it.
     size_px = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape)
     free = np.maximum(0, np.array(settings.sensor) / 2 - size_px / 2)
     middle = (np.array(scene.sensor) - 1) / 2
@@ -138,19 +139,20 @@ def record_picture(
     if not settings.follow:
         return scene.events(times_us, displacement, turn, pixels, rng)
 
-    # The crop moves over a large sensor. The way is divided into parts, and for each part only the
+    # The crop moves over a large sensor. Its path is divided into parts, and for each part only the
     # pixels near the crop are simulated. To simulate the whole sensor takes three times as long.
     parts = []
-    way_px = np.hypot(*np.diff(motion, axis=0).T).sum()
-    n_parts = max(1, math.ceil(way_px / smaller))
+    path_px = np.hypot(*np.diff(motion, axis=0).T).sum()
+    n_parts = max(1, math.ceil(path_px / smaller))
     steps = np.arange(len(times_us) - 1)  # step k leads from frame k to frame k + 1
     for part_steps in np.array_split(steps, n_parts):
         frames = slice(part_steps[0], part_steps[-1] + 2)
         first = np.floor(motion[frames].min(0)).astype(int)
         last = np.ceil(motion[frames].max(0)).astype(int)
         width, height = (np.array(settings.sensor) + last - first).tolist()
-        part = replace(scene, sensor=(width, height))
-        events = part.events(
+        # the pixels that the crop covers in this part; the first of them is at `first`
+        part_scene = replace(scene, sensor=(width, height))
+        events = part_scene.events(
             times_us[frames], displacement[frames] - first, turn[frames], pixels, rng
         )
         parts.append(_crop(events, times_us, motion, first, settings.sensor))
@@ -164,15 +166,15 @@ def _draw_motion(
 
     Returns
     -------
-    The times of its frames, as shares of the window, (n,). The displacement at these times, in
-    pixels, (n, 2). The turn at these times, (n, 2), see `PeriodicImage.frames`.
+    The times of the motion's frames, as shares of the window, (n,). The displacement at these
+    times, in pixels, (n, 2). The turn at these times, (n, 2), see `PeriodicImage.frames`.
     """
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
     log_share = rng.uniform(*np.log((SHORTEST, longest)))
     length = min(settings.sensor) * float(np.exp(log_share))
-    fine = np.linspace(0, 1, FINE)
+    shares = np.linspace(0, 1, FINE)
     motion, turn = random_motion(
-        length, fine, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
+        length, shares, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
     )
     return _frames_of(motion, turn)
 
@@ -191,17 +193,21 @@ def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     shares = np.linspace(0, 1, len(motion))
     steps_px = np.hypot(*np.diff(motion, axis=0).T)
-    gone_px = np.concatenate([[0.0], np.cumsum(steps_px)])
+    distance_px = np.concatenate([[0.0], np.cumsum(steps_px)])  # since the start
     # the number of frames that are wanted up to each moment
-    n_until = FRAMES_A_PX * gone_px + FEWEST_FRAMES * shares
+    n_until = FRAMES_A_PX * distance_px + FEWEST_FRAMES * shares
     n = int(min(np.ceil(n_until[-1]), MOST_FRAMES))
-    at = np.interp(np.linspace(0, n_until[-1], n + 1), n_until, shares)
-    return at, _columns_at(at, shares, motion), _columns_at(at, shares, turn)
+    frame_shares = np.interp(np.linspace(0, n_until[-1], n + 1), n_until, shares)
+    return (
+        frame_shares,
+        _interpolated(frame_shares, shares, motion),
+        _interpolated(frame_shares, shares, turn),
+    )
 
 
-def _columns_at(at: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values, (N, 2), that are known at `places`, interpolated at the places `at`: (n, 2)."""
-    return np.stack([np.interp(at, places, column) for column in values.T], axis=1)
+def _interpolated(times: np.ndarray, known_times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values, (N, 2), that are known at N `known_times`, interpolated at n `times`: (n, 2)."""
+    return np.stack([np.interp(times, known_times, column) for column in values.T], axis=1)
 
 
 def _crop(
@@ -217,17 +223,18 @@ def _crop(
     ----------
     events : events of a larger sensor. Changed in place.
     times_us, motion : the displacement of the crop at n times, (n, 2), in pixels.
-    first : (x, y): the displacement of a crop whose first pixel is pixel (0, 0) of the larger
+    first : (x, y), the displacement at which the crop's first pixel is pixel (0, 0) of the larger
         sensor.
     sensor : (width, height) of the crop.
     """
-    inside = np.ones(len(events), bool)
+    is_inside = np.ones(len(events), bool)
     for axis, name in enumerate("xy"):
-        moved = np.rint(np.interp(events["t"], times_us, motion[:, axis]))
-        at = events[name].astype(np.int64) + first[axis] - moved.astype(np.int64)
-        inside &= (at >= 0) & (at < sensor[axis])
-        events[name] = np.where(inside, at, 0)
-    return events[inside]
+        displacement = np.rint(np.interp(events["t"], times_us, motion[:, axis]))
+        in_crop = events[name].astype(np.int64) + first[axis] - displacement.astype(np.int64)
+        is_inside &= (in_crop >= 0) & (in_crop < sensor[axis])
+        # 0 instead of a value outside, which the field may not hold
+        events[name] = np.where(is_inside, in_crop, 0)
+    return events[is_inside]
 
 
 def _scene(
@@ -243,9 +250,9 @@ def _scene(
     ----------
     picture : the object.
     side_px : the object's longer side, in pixels.
-    reach : (x, y), the largest displacement of the object, in pixels. The image repeats itself, so
-        its copies of the object must stay off the sensor. A crop that follows the object needs no
-        such distance.
+    reach : (x, y), the largest displacement of the object, in pixels. The image repeats itself, and
+        its other copies of the object must stay off the sensor. So the copies are farther apart if
+        the displacement is larger. A crop that follows the object does not need this.
     settings : camera and scene.
     rng : draws the scene.
     """
@@ -254,11 +261,11 @@ def _scene(
     if not settings.follow:
         gap = np.maximum(gap, 2 * reach)
     # the distance between copies of the object; it is still enough after a turn and growth
-    apart = sensor + side_px + gap
-    apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
-    covered, cover = _posed(picture, FINENESS * side_px, rng)
+    period = sensor + side_px + gap
+    period *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
+    object_light, cover = _posed(picture, FINENESS * side_px, rng)
     # Sides that are multiples of 8 have a fast Fourier transform.
-    shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])
+    shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in period[::-1])
 
     # the ground
     if rng.random() < TEXTURED:
@@ -267,25 +274,25 @@ def _scene(
         texture = np.zeros(shape)
     ground = picture.ground
     if ground is None:
-        luminance = float(covered.sum() / max(cover.sum(), 1e-6))
-        ground = _random_ground(luminance, rng)
-    seen = np.clip(ground + texture, 0, 1)
+        mean_luminance = float(object_light.sum() / max(cover.sum(), 1e-6))
+        ground = _random_ground(mean_luminance, rng)
+    light = np.clip(ground + texture, 0, 1)
 
     # the object in the middle of the ground
     rows, columns = cover.shape
     top = (shape[0] - rows) // 2
     left = (shape[1] - columns) // 2
     place = slice(top, top + rows), slice(left, left + columns)
-    seen[place] = (1 - cover) * seen[place] + covered
+    light[place] = (1 - cover) * light[place] + object_light
     if settings.light == "negative" or (settings.light == "both" and rng.random() < 0.5):
-        seen = 1.0 - seen
+        light = 1.0 - light
 
     # the lens, and luminance from `darkest` to 1
-    seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
+    light = _blurred(light, FINENESS * rng.uniform(*BLURS_PX))
     contrast = np.exp(rng.uniform(*np.log(CONTRASTS)))
     darkest = 1.0 / contrast
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
-    image = np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1))
+    image = np.log(darkest + (1.0 - darkest) * np.clip(light, 0, 1))
     return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor)
 
 
@@ -300,7 +307,7 @@ def _random_ground(luminance: float, rng: np.random.Generator) -> float:
 def _posed(
     picture: Picture, side: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The object as a plane that is seen from aside, with `side` places along its longer side.
+    """The object as a plane that is seen at an angle, with `side` places along its longer side.
 
     Returns
     -------
@@ -316,10 +323,10 @@ def _posed(
     # the corners of a thin object move less, so that they do not cross
     most = np.minimum(POSTURE * side, np.array(size) / 3)
     inwards = np.where(corners > 0, -1, 1)
-    seen = corners + most * rng.uniform(0, 1, (4, 2)) * inwards
-    coefficients = _perspective(seen, corners)
+    posed_corners = corners + most * rng.uniform(0, 1, (4, 2)) * inwards
+    coefficients = _perspective(posed_corners, corners)
 
-    # a photograph has no ground of its own: it fades into the random one
+    # A photograph has no ground of its own, so it fades into the random ground.
     is_photograph = picture.ground is None and picture.cover.min() == 1
     cover = _rim(picture.cover) if is_photograph else picture.cover
     layers = []
@@ -333,15 +340,16 @@ def _posed(
     return layers[0], layers[1]
 
 
-def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
-    """The coefficients (a, ..., h) of a perspective, which maps the four `seen` to the `corners`:
+def _perspective(points: np.ndarray, images: np.ndarray) -> tuple[float, ...]:
+    """The coefficients (a, ..., h) of the perspective that maps four `points` to their `images`.
 
     (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y + 1))
     """
+    # two linear equations in the coefficients for each point
     rows = []
-    for (x, y), (u, v) in zip(seen, corners, strict=True):
+    for (x, y), (u, v) in zip(points, images, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-    return tuple(np.linalg.solve(np.array(rows), corners.ravel()))
+    return tuple(np.linalg.solve(np.array(rows), images.ravel()))
 
 
 def _rim(cover: np.ndarray) -> np.ndarray:
@@ -355,14 +363,14 @@ def _rim(cover: np.ndarray) -> np.ndarray:
 
 def _texture(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """A random field that repeats itself. Its power is 1/f^2, and its standard deviation is 1."""
-    radius = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
-    radius[0, 0] = np.inf
-    field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) / radius, shape)
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+    frequency[0, 0] = np.inf  # the mean becomes 0
+    field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) / frequency, shape)
     return np.asarray(field / field.std())
 
 
 def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    """An image on the torus, blurred by a Gaussian of `sigma` places."""
+    """An image that repeats itself, blurred by a Gaussian of `sigma` places."""
     squared = np.fft.fftfreq(image.shape[0])[:, None] ** 2 + np.fft.rfftfreq(image.shape[1]) ** 2
-    passed = np.exp(-2 * (np.pi * sigma) ** 2 * squared)
-    return np.asarray(np.fft.irfft2(np.fft.rfft2(image) * passed, image.shape))
+    gain = np.exp(-2 * (np.pi * sigma) ** 2 * squared)  # the Gaussian's Fourier transform
+    return np.asarray(np.fft.irfft2(np.fft.rfft2(image) * gain, image.shape))

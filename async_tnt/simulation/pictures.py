@@ -5,8 +5,9 @@ to the object depends on the picture:
 
 with an alpha channel       the opaque pixels
 on a plain ground           the pixels that differ from the ground. The ground is plain if the
-                            picture's outermost pixels are alike; its luminance is their median
-else, a photograph          all pixels
+                            picture's outermost pixels are alike. Their median is the luminance of
+                            the ground
+any other (a photograph)    all pixels
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from async_tnt.base.messages import one_line
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of the formats with these suffixes. Without this list, Pillow would open files of
-other formats, too, which it knows by their first bytes, and start programs for some of them."""
+"""Pillow's names of the formats with these suffixes. Pillow knows a format by a file's first bytes.
+Without this list it would open files of other formats, too, and start programs for some of them."""
 MAX_PIXELS = 50_000_000
 """Most pixels of a picture that is read. To decode more pixels takes more than a gigabyte."""
 LARGEST_SIDE = 512
@@ -115,14 +116,14 @@ def _colours(path: Path) -> np.ndarray:
                     "make it smaller"
                 )
             image: Image.Image = ImageOps.exif_transpose(file)
-            # values of 16 bits and more, which `convert` would cut off
+            # `convert` would cut off values of 16 bits and more, so they are scaled first
             if image.mode.startswith(("I", "F")):
                 values = np.array(image, np.float32)
                 if not np.isfinite(values).all():
                     raise ValueError("a picture must have finite values")
                 values *= np.float32(255.0 / max(float(values.max()), 1e-12))
                 image = Image.fromarray(np.clip(values, 0, 255, out=values).astype(np.uint8))
-            # colours first, because a picture with a palette is made smaller without averaging
+            # RGBA first, because Pillow makes a picture with a palette smaller without averaging.
             image = image.convert("RGBA")
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
             return np.asarray(image, np.float32) / 255.0
@@ -131,7 +132,13 @@ def _colours(path: Path) -> np.ndarray:
 def _cut_out(
     light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray
 ) -> Picture:
-    """Cut a picture to the smallest rectangle around its object."""
+    """Cut a picture to the smallest rectangle around its object.
+
+    Parameters
+    ----------
+    light, cover, ground : see `Picture`.
+    is_object : bool, (h, w): which pixels must be in the rectangle.
+    """
     if not is_object.any():
         raise ValueError("nothing is on this picture: all of it is transparent, or alike")
     rows = np.flatnonzero(is_object.any(1))

@@ -1,7 +1,7 @@
 """Draw the pixels of cameras at random, over the ranges that event cameras have.
 
-thresholds    .1 to .4 in log luminance, log-uniform; the ratio of ON and OFF is within a factor of
-              1.4 in two thirds of the cameras
+thresholds    .1 to .4 in log luminance, log-uniform; the ON and the OFF threshold differ by less
+              than a factor of 1.4 in two thirds of the cameras
 mismatch      .03 to .25: the standard deviation, over pixels, of the log of the thresholds
 refractory    .1 to 3 ms, log-uniform
 bandwidth     200 to 5,000 Hz in the brightest light, log-uniform
@@ -11,10 +11,11 @@ after-pulses  half of the cameras have none; in the others up to a third of the 
 hot pixels    half of the cameras have none; in the others up to one pixel in 500 is hot, with 50
               events a second
 
-If a recording of the camera exists, what it tells replaces these ranges. The ratio of thresholds,
-noise and after-pulses are drawn within a factor of 1.25 of the measured values. The refractory time
-is drawn between 0 and its measured bound. Two values may be missing. A recording without noise at a
-quiet pixel tells no noise. A recording without two events of one pixel tells no refractory time.
+If a recording of the camera exists, the values measured on it replace some of these ranges. The
+ratio of thresholds, the noise and the after-pulses are drawn within a factor of 1.25 of the
+measured values. The refractory time is drawn between 0 and its measured bound. Two values may be
+missing. The noise is not known if no quiet pixel has noise, and the refractory time is not known if
+no pixel has two events.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ NOISE_HZ = (0.01, 3.0)
 NOISE_ON_SHARES = (0.1, 1.0)
 """Range of the share of the noise that is ON."""
 LEAK_HZ = 0.3
-"""Largest rate of the ON events that leak, in events a pixel and second."""
+"""Largest rate of the ON events that a leak causes, in events a pixel and second."""
 AFTER_SHARE = 1 / 3
 """Largest share of the events that an after-pulse follows."""
 HOT_SHARE = 1 / 500
@@ -56,7 +57,7 @@ def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None
     Parameters
     ----------
     rng : draws the pixels.
-    camera : the camera's pixels as measured on a recording; None: nothing is known of them.
+    camera : the camera's pixels as measured on a recording; None: they were not measured.
     """
 
     def between(low: float, high: float) -> float:
@@ -77,7 +78,7 @@ def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None
         ratio = camera.step_on / camera.step_off * between(1 / NEAR, NEAR)
         after_share = camera.after_share * between(1 / NEAR, NEAR)
         if camera.noise_hz:
-            # the measured noise includes the events that leak
+            # the measured noise includes the events that a leak causes
             noise_hz = camera.noise_hz * between(1 / NEAR, NEAR)
             noise_on_share = camera.noise_on_share
             leak_hz = 0.0

@@ -1,21 +1,21 @@
 """Simulate the pixels of an event camera: from frames of log luminance to events.
 
-Between two frames the log luminance L of a pixel is interpolated linearly. With the reference level
-R:
+Between two frames the log luminance L of a pixel is interpolated linearly. A pixel has a reference
+level R:
 
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
 
-A pixel has an event each time L reaches such a threshold. After an event at t the pixel is held in
-reset for `refractory_us`: it sees nothing. Then R := L(t + refractory_us). Times are rounded to
-whole microseconds, and events are sorted by (t, y, x). Events of one pixel at one time stay in the
-order in which they occurred.
+A pixel has an event each time that L reaches such a threshold. After an event at t the pixel is
+held in reset for `refractory_us`, and sees nothing. Then R := L(t + refractory_us). Times are
+rounded to whole microseconds, and events are sorted by (t, y, x). Events of one pixel at one time
+stay in the order in which they occurred.
 
 Real circuits have these effects, too. All are off by default:
 
-    bandwidth     The pixel follows its light as a low-pass does, y' = 2 pi f (L - y), the slower
-                  the darker it is: f = bandwidth_hz max(exp(L), DARKEST), with L = 0 in the
-                  brightest light.
+    bandwidth     The pixel follows its light as a low-pass does, y' = 2 pi f (L - y). It is slower
+                  in the dark, because f = bandwidth_hz max(exp(L), DARKEST). In the brightest
+                  light L is 0.
     leak          R drifts down by C_on leak_hz a second. So there are ON events even if L is
                   constant.
     after-pulses  Some events are followed by an event of the other sign.
@@ -23,12 +23,14 @@ Real circuits have these effects, too. All are off by default:
 
 References
 ----------
-Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events: bandwidth in proportion to
-the light, leak. Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous
-Temporal Contrast Vision Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event
-Camera Simulator: the times of events by linear interpolation between frames. In ESIM, events in the
-refractory time are dropped, and R stays. Here R follows the light, as it does in the pixel's
-circuit, whose capacitor is shorted during the refractory time.
+- Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events. From it are the bandwidth
+  in proportion to the light, and the leak.
+- Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal
+  Contrast Vision Sensor. From it is the pixel.
+- Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event Camera Simulator. From it are the times of
+  events, by linear interpolation between frames. In ESIM, events in the refractory time are
+  dropped, and R stays. Here R follows the light. So it does in the pixel's circuit, whose capacitor
+  is shorted during the refractory time.
 """
 
 from __future__ import annotations
@@ -71,7 +73,7 @@ class PixelModel:
     noise_on_share : share of the background events that are ON.
     bandwidth_hz : corner frequency of the pixel's low-pass in the brightest light, in hertz. None:
         the pixel has no low-pass.
-    leak_hz : ON events per pixel and second that leak in steady light.
+    leak_hz : ON events per pixel and second that the leak causes in steady light.
     after_share : share of the events that an after-pulse follows.
     hot_share : share of the pixels that are hot.
     hot_hz : mean number of background events of a hot pixel per second.
@@ -117,8 +119,8 @@ def simulate(
     """Events of a sensor whose pixels differ, begin in random states and add background noise.
 
     A pixel's reference level begins at a random place, uniform from C_on below the first frame to
-    C_off above it. It may be anywhere there after events before the recording. Noise events do not
-    reset the pixel, and they ignore the refractory time.
+    C_off above it, because earlier events may have left it anywhere in this range. Noise events do
+    not reset the pixel, and they ignore the refractory time.
 
     Parameters
     ----------
@@ -148,18 +150,18 @@ def simulate(
     if pixels.leak_hz:
         frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
     refractory_us = float(pixels.refractory_us)
-    seen = pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us)
+    columns = pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us)
 
-    parts = [structured(seen), _noise(pixels.noise_hz, (0, 0), shape, times, rng, pixels)]
+    parts = [structured(columns), _noise(pixels.noise_hz, (0, 0), shape, times, rng, pixels)]
     if pixels.hot_share:
-        hot = np.argwhere(rng.random(shape) < pixels.hot_share)
-        rates_hz = rng.exponential(pixels.hot_hz, len(hot))
-        for place, hz in zip(hot.tolist(), rates_hz, strict=True):
-            parts.append(_noise(hz, place, (1, 1), times, rng, pixels))
+        hot_pixels = np.argwhere(rng.random(shape) < pixels.hot_share)  # (row, column)
+        rates_hz = rng.exponential(pixels.hot_hz, len(hot_pixels))
+        for corner, hz in zip(hot_pixels.tolist(), rates_hz, strict=True):
+            parts.append(_noise(hz, corner, (1, 1), times, rng, pixels))
     events = np.concatenate(parts)
     if pixels.after_share:
         events = np.concatenate([events, _after_pulses(events, pixels.after_share, rng)])
-    # the sort is stable, and its last key counts most
+    # the last key of the sort counts most; the sort is stable
     return events[np.lexsort((events["x"], events["y"], events["t"]))]
 
 
@@ -193,9 +195,9 @@ def _noise(
     hz : events per pixel and second.
     corner, shape : (row, column) of the rectangle's first pixel, and the rectangle's (rows,
         columns).
-    times : times of the frames, in microseconds. The noise is between the first and the last.
+    times : times of the frames, in microseconds. The noise is between the first and the last frame.
     rng : draws the events.
-    pixels : tells the share of ON events.
+    pixels : has the share of ON events.
     """
     span_us = times[-1] - times[0]
     events = np.empty(rng.poisson(hz * shape[0] * shape[1] * span_us * 1e-6), EVENT_DTYPE)

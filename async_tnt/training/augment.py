@@ -1,7 +1,7 @@
 """Augmentation of events: every epoch changes every window at random.
 
-Each window is moved in time and on the sensor, and thinned. Some windows are mirrored, cut short,
-or made to show nothing. These changes are our choice, not the thesis':
+Each window is moved in time and on the sensor, and some of its events are left out. Some windows
+are mirrored, cut short, or made to show nothing. These changes are our choice, not the thesis':
 
     start      the window's start is shifted. The windows of a live stream start at its first event,
                which comes some milliseconds after N-MNIST's saccade has begun. TNT magnifies what
@@ -11,16 +11,16 @@ or made to show nothing. These changes are our choice, not the thesis':
                c is the middle between the recording's outermost events, so that a mirrored object
                stays where it was
     thinning   each event is kept with a probability that is drawn for each window
-    partial    the window ends early: the network learns to decide before a window's end
-    late start the window begins later, in the middle of the recorded motion
-    nothing    the window shows no class. It has as many events as before, but they stand somewhere
-               else: anywhere, as noise; at hot pixels; on a patch that twinkles; or along a
-               straight edge that crosses the sensor
+    partial    the window ends early, so that the network learns to decide before a window's end
+    late start the window begins later, during the recorded motion
+    nothing    the window shows no class. It has as many events as before, but at other places:
+               anywhere, as noise; at hot pixels; on a patch that twinkles; or along a straight edge
+               that crosses the sensor
 
 After a rotation, positions are not whole pixels. Rounding them to whole pixels would leave stripes
-in the volume. So augmented events are on a finer sensor. It has the same corners, but `FINE` times
-as many positions from corner to corner, see `fineness`. The volume's grid is mapped onto the sensor
-from corner to corner, so the grid stays the same.
+in the volume. So augmented events are on a finer sensor. It has the same corners, but up to `FINE`
+times as many positions from corner to corner, see `fineness`. The volume's grid is mapped onto the
+sensor from corner to corner, so the grid stays the same.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ KINDS = {
     "on a patch": PATCH,
     "along an edge": EDGE,
 }
-"""Kinds of windows that show no class: name -> the value of `Draws.nothing`."""
+"""Kinds of windows that show no class: name -> the value of `Draws.content`."""
 PATCH_SIDE = (0.1, 0.5)
 """Range of a patch's width and height, as shares of the sensor's."""
 EDGE_WAY = (0.2, 1.2)
-"""Range of the way that an edge moves in a window, as a share of the sensor's longer side."""
+"""Range of the distance that an edge moves in a window, as a share of the sensor's longer side."""
 EDGE_THICKNESS = (0.01, 0.1)
 """Range of an edge's thickness, as a share of the sensor's longer side."""
 EDGE_LENGTH = (0.4, 2.0)
@@ -76,10 +76,10 @@ class Draws:
     keep : float64, (N,). Probability that an event is kept.
     seed : uint64, (N,). Decides which events are kept, and where events stand in a window that
         shows nothing.
-    nothing : int64, (N,). SHOWN if a window shows its recording. Otherwise the kind of nothing that
+    content : int64, (N,). SHOWN if a window shows its recording. Otherwise the kind of nothing that
         it shows instead, one of the values of `KINDS`.
     place : float64, (N, 8). Where the events of a window that shows nothing stand, in pixels of
-        `sensor`, and the share of them that is ON. `of_nothing` fills it.
+        `sensor`, and the share of these events that is ON. `showing_nothing` fills it.
     sensor : (width, height) of the augmented events' sensor. Events beyond it are dropped.
     """
 
@@ -88,7 +88,7 @@ class Draws:
     matrix: np.ndarray
     keep: np.ndarray
     seed: np.ndarray
-    nothing: np.ndarray
+    content: np.ndarray
     place: np.ndarray
     sensor: tuple[int, int]
 
@@ -103,7 +103,7 @@ def fineness(sensor: tuple[int, int]) -> int:
     >>> fineness((34, 34)), fineness((1280, 720))
     (32, 25)
     """
-    finest = (MAX_SIDE - 1) // (max(sensor) - 1)  # the finer sensor has at most `MAX_SIDE` pixels
+    finest = (MAX_SIDE - 1) // (max(sensor) - 1)  # a side may have at most `MAX_SIDE` pixels
     return max(1, min(FINE, finest))
 
 
@@ -118,16 +118,17 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
         matrix=matrix,
         keep=np.ones(n),
         seed=np.zeros(n, np.uint64),
-        nothing=np.full(n, SHOWN, np.int64),
+        content=np.full(n, SHOWN, np.int64),
         place=np.zeros((n, 8)),
         sensor=config.sensor,
     )
 
 
 def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
-    """The draws on whole pixels, if the volume is an image of times; otherwise `draws` themselves.
+    """The draws on the sensor's own pixels, for a volume that is an image of times.
 
-    An image of times would count an event between pixels as an event of each of these pixels.
+    An image of times would count an event between pixels as an event of each of these pixels. For
+    another volume, `draws` are returned as they are.
     """
     if config.representation not in TIME_IMAGES:
         return draws
@@ -138,22 +139,23 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
     )
 
 
-def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
+def showing_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
     """The draws of the same windows, but some windows now show nothing.
 
     The last column of `Draws.place` is the share of ON events. The other columns depend on the kind
     of nothing:
 
-    scattered, of one polarity, on a patch   left, top, width and height of where the events stand
+    scattered, of one polarity, on a patch   left, top, width and height of the rectangle in which
+                                             the events stand
     at hot pixels                            x and y of three pixels
-    along an edge                            x and y of a point of the edge, its normal (cosine,
-                                             sine), its way along the normal in the window, its
-                                             thickness and its length
+    along an edge                            x and y of a point of the edge, the edge's normal
+                                             (cosine, sine), the distance that the edge moves along
+                                             its normal in the window, its thickness and its length
 
     Parameters
     ----------
     draws : the draws of N windows.
-    kinds : int64, (N,): SHOWN, or the kind of nothing that a window shows, see `Draws.nothing`.
+    kinds : int64, (N,): SHOWN, or the kind of nothing that a window shows, see `Draws.content`.
     rng : draws where the events stand.
     """
     n = len(kinds)
@@ -161,36 +163,37 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
     place = np.zeros((n, 8))
     place[:, 2:4] = sensor  # the whole sensor, unless a kind needs less
     on_share = rng.uniform(0.0, 1.0, n)
-    # of one polarity: all events are ON, or all are OFF
-    of_one = kinds == ONE_POLARITY
-    on_share[of_one] = rng.random(of_one.sum()) < 0.5
+    # In a window of one polarity, all events are ON, or all are OFF.
+    is_one_polarity = kinds == ONE_POLARITY
+    on_share[is_one_polarity] = rng.random(is_one_polarity.sum()) < 0.5
 
-    patch = kinds == PATCH
-    place[patch, 2:4] = sensor * rng.uniform(*PATCH_SIDE, (patch.sum(), 2))
-    place[patch, :2] = (sensor - place[patch, 2:4]) * rng.random((patch.sum(), 2))
+    is_patch = kinds == PATCH
+    place[is_patch, 2:4] = sensor * rng.uniform(*PATCH_SIDE, (is_patch.sum(), 2))
+    place[is_patch, :2] = (sensor - place[is_patch, 2:4]) * rng.random((is_patch.sum(), 2))
 
-    hot = kinds == HOT_PIXELS
-    place[hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((hot.sum(), 6)))
+    is_hot = kinds == HOT_PIXELS
+    place[is_hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((is_hot.sum(), 6)))
     # One, two or three of a window's three hot pixels are different. The others repeat the first.
-    n_different = rng.integers(1, 4, hot.sum())
+    n_different = rng.integers(1, 4, is_hot.sum())
     for k in (1, 2):
-        drawn = place[hot, 2 * k : 2 * k + 2]
+        x_and_y = place[is_hot, 2 * k : 2 * k + 2]
         is_different = (n_different > k)[:, None]
-        place[hot, 2 * k : 2 * k + 2] = np.where(is_different, drawn, place[hot, :2])
+        place[is_hot, 2 * k : 2 * k + 2] = np.where(is_different, x_and_y, place[is_hot, :2])
 
-    edge = kinds == EDGE
-    angle = rng.uniform(0.0, 2 * np.pi, edge.sum())
-    place[edge, :2] = sensor * rng.uniform(0.25, 0.75, (edge.sum(), 2))
-    place[edge, 2] = np.cos(angle)
-    place[edge, 3] = np.sin(angle)
-    place[edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, edge.sum())
-    place[edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, edge.sum())
-    place[edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, edge.sum())
-    # Half of the edges have events of one polarity.
-    is_of_one = rng.random(edge.sum()) < 0.5
-    on_share[edge] = np.where(is_of_one, np.rint(on_share[edge]), on_share[edge])
+    is_edge = kinds == EDGE
+    n_edges = is_edge.sum()
+    angle = rng.uniform(0.0, 2 * np.pi, n_edges)
+    place[is_edge, :2] = sensor * rng.uniform(0.25, 0.75, (n_edges, 2))
+    place[is_edge, 2] = np.cos(angle)
+    place[is_edge, 3] = np.sin(angle)
+    place[is_edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, n_edges)
+    place[is_edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, n_edges)
+    place[is_edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, n_edges)
+    # Half of the edges have events of one polarity: their share of ON events is 0 or 1.
+    has_one_polarity = rng.random(n_edges) < 0.5
+    on_share[is_edge] = np.where(has_one_polarity, np.rint(on_share[is_edge]), on_share[is_edge])
     place[:, 7] = on_share
-    return replace(draws, nothing=kinds, place=place)
+    return replace(draws, content=kinds, place=place)
 
 
 @dataclass(frozen=True)
@@ -201,17 +204,17 @@ class Augmentation:
 
     Parameters
     ----------
-    start_ms : shift of the window's start, in milliseconds, either way.
-    shift_px : shift in x and in y, in sensor pixels.
-    translate_px : an additional shift by a whole number of pixels, in x and in y (the thesis'
+    start_ms : largest shift of the window's start, earlier or later, in milliseconds.
+    shift_px : largest shift in x and in y, in either direction, in sensor pixels.
+    translate_px : largest additional shift by a whole number of pixels, in x and in y (the thesis'
         augmentation).
-    rotation_deg : rotation, in degrees, either way.
-    scale : change of size, as a fraction.
-    shear : shift of x, as a fraction of y.
-    drop : fraction of the events that is dropped.
+    rotation_deg : largest rotation, in either direction, in degrees.
+    scale : largest change of size, as a fraction of the size.
+    shear : largest shift of x, as a fraction of y.
+    drop : largest fraction of a window's events that is dropped.
     partial : fraction of windows that end early.
-    partial_from_ms : earliest end of these windows, in milliseconds. The logarithm of their length
-        is drawn uniformly.
+    partial_from_ms : earliest end of the windows that end early, in milliseconds. The logarithm of
+        their length is drawn uniformly.
     late_start : fraction of windows that begin later, by up to `LATEST` of their length.
     mirror : whether half of the windows are mirrored from left to right.
     nothing : fraction of windows that show nothing. All `KINDS` are equally likely. Such windows
@@ -247,15 +250,15 @@ class Augmentation:
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
         """The default augmentation for a sensor and a window.
 
-        The numbers were chosen for N-MNIST's 34x34 pixels and 105 ms. They are scaled to other
-        sensors and windows.
+        The numbers were chosen for N-MNIST's 34x34 pixels and windows of 105 ms. They are scaled to
+        other sensors and windows.
 
         Parameters
         ----------
         config : a configuration with that sensor and window.
         changes : fields of `Augmentation` with other values; these are not scaled.
         """
-        # N-MNIST's sensor has 34 pixels a side: 33 from the first to the last
+        # N-MNIST's sensor has 34 pixels along a side: 33 from the first pixel to the last
         scale_px = (min(config.sensor) - 1) / 33
         scale_ms = config.window_us / 105_000
         scaled = cls(
@@ -269,15 +272,15 @@ class Augmentation:
         """Random changes for `windows` of this `config`, drawn by `rng`."""
         n = len(windows)
 
-        def spread(by: float) -> np.ndarray:
-            """A number in [-by, by) for each window."""
-            return rng.uniform(-by, by, n)
+        def within(limit: float) -> np.ndarray:
+            """A number in [-limit, limit) for each window."""
+            return rng.uniform(-limit, limit, n)
 
-        start_us = np.rint(spread(1e3 * self.start_ms)).astype(np.int64)
-        angle = np.deg2rad(spread(self.rotation_deg))
-        scale = 1.0 + spread(self.scale)
-        shear = spread(self.shear)
-        shift = np.stack([spread(self.shift_px), spread(self.shift_px)], axis=1)  # (n, 2)
+        start_us = np.rint(within(1e3 * self.start_ms)).astype(np.int64)
+        angle = np.deg2rad(within(self.rotation_deg))
+        scale = 1.0 + within(self.scale)
+        shear = within(self.shear)
+        shift = np.stack([within(self.shift_px), within(self.shift_px)], axis=1)  # (n, 2)
         if self.translate_px:
             shift += rng.integers(-self.translate_px, self.translate_px + 1, (n, 2))
         keep = 1.0 - rng.uniform(0.0, self.drop, n)
@@ -289,15 +292,16 @@ class Augmentation:
             later_us = np.rint(rng.uniform(0.0, LATEST * config.window_us, n)).astype(np.int64)
             start_us += np.where(rng.random(n) < self.late_start, later_us, 0)
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
-        side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
+        # -1 if a window is mirrored
+        x_sign = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
 
         # rotation * shear * scale * mirror, about the middle of the recording
         cos = scale * np.cos(angle)
         sin = scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))
-        matrix[:, 0, 0] = cos * side
+        matrix[:, 0, 0] = cos * x_sign
         matrix[:, 0, 1] = cos * shear - sin
-        matrix[:, 1, 0] = sin * side
+        matrix[:, 1, 0] = sin * x_sign
         matrix[:, 1, 1] = sin * shear + cos
         center = windows.recordings.middles[windows.recording]  # (n, 2)
         matrix[:, :, 2] = center + shift - np.einsum("nij,nj->ni", matrix[:, :, :2], center)
@@ -311,7 +315,7 @@ class Augmentation:
             matrix=fine * matrix,
             keep=keep,
             seed=seed,
-            nothing=np.full(n, SHOWN, np.int64),
+            content=np.full(n, SHOWN, np.int64),
             place=np.zeros((n, 8)),
             sensor=sensor,
         )
@@ -319,4 +323,4 @@ class Augmentation:
             return draws
         kinds = rng.choice(list(KINDS.values()), n)
         kinds = np.where(rng.random(n) < self.nothing, kinds, SHOWN)
-        return of_nothing(draws, kinds, rng)
+        return showing_nothing(draws, kinds, rng)

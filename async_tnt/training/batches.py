@@ -42,11 +42,11 @@ class BatchVolumes:
                 f"windows of a duration can be trained on, but not of {config.window_events} events"
             )
         self.config = config
-        self._about = OWN
+        self._landmark_kind = OWN
         if config.defers_landmark:
-            self._about = {"window": MEAN, "regressor": GIVEN}[config.landmark]
+            self._landmark_kind = {"window": MEAN, "regressor": GIVEN}[config.landmark]
         self._states: dict[tuple[int, int], np.ndarray] = {}
-        self._scratch = empty_columns(1 << 12)[:4]
+        self._scratch = empty_columns(1 << 12)[:4]  # t, x, y, p
         self._out = np.empty((0, *config.shape), np.float32)
 
     def __call__(
@@ -57,7 +57,7 @@ class BatchVolumes:
         Parameters
         ----------
         windows : the windows.
-        draws : their augmentation; None: as they are.
+        draws : the windows' augmentation; None: the windows stay as they are.
         landmarks : float64, shape (N, 2), (x, y) in grid pixels. Only given with landmark
             `regressor`.
 
@@ -67,23 +67,23 @@ class BatchVolumes:
         """
         n = len(windows)
         draws = unchanged(n, self.config) if draws is None else draws
-        if (landmarks is not None) != (self._about == GIVEN):
+        if (landmarks is not None) != (self._landmark_kind == GIVEN):
             raise ParameterValueError(
                 "landmarks", "must be given with landmark 'regressor', and with no other"
             )
         if n > len(self._out):
             self._out = np.empty((n, *self.config.shape), np.float32)
         out = self._out[:n]
-        about = self._to_sensor(landmarks, n, draws)
-        window_volumes(*self._arguments(windows, draws), self._about, about, out)
+        on_sensor = self._to_sensor(landmarks, n, draws)
+        window_volumes(*self._arguments(windows, draws), self._landmark_kind, on_sensor, out)
         return out
 
     def landmark_gradient(
         self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray
     ) -> np.ndarray:
-        """The gradient dL/dl of a loss L by the landmarks, from its gradient dL/dV by the volumes.
+        """The gradient dL/dl of a loss L by the landmarks, from the gradient dL/dV by the volumes.
 
-        V are the volumes that `__call__` computes from `windows`, `draws` and `landmarks`.
+        V are the volumes that `__call__` computes from `windows`, `draws` and the landmarks l.
 
         Parameters
         ----------
@@ -99,8 +99,8 @@ class BatchVolumes:
         draws = unchanged(n, self.config) if draws is None else draws
         out = np.empty((n, 2))
         gradient = np.ascontiguousarray(gradient, np.float32)
-        about = self._to_sensor(landmarks, n, draws)
-        landmark_gradients(*self._arguments(windows, draws), about, gradient, out)
+        on_sensor = self._to_sensor(landmarks, n, draws)
+        landmark_gradients(*self._arguments(windows, draws), on_sensor, gradient, out)
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
@@ -125,7 +125,7 @@ class BatchVolumes:
                 draws.matrix,
                 draws.keep,
                 draws.seed,
-                draws.nothing,
+                draws.content,
                 draws.place,
             ),
         )
@@ -134,14 +134,15 @@ class BatchVolumes:
         """Landmarks in pixels of the events' sensor; zeros if `landmarks` is None."""
         if landmarks is None:
             return np.zeros((n, 2))
-        sensor = np.array(draws.sensor) - 1
-        grid = np.array(self.config.grid) - 1
-        return np.ascontiguousarray(landmarks * sensor / grid)
+        # sensor and grid have the same corners: their first and last pixels coincide
+        last_pixel = np.array(draws.sensor) - 1
+        last_cell = np.array(self.config.grid) - 1
+        return np.ascontiguousarray(landmarks * last_pixel / last_cell)
 
     def _state(self, sensor: tuple[int, int]) -> np.ndarray:
         """The state that the kernels work on, for events of this sensor."""
         if sensor not in self._states:
-            # With MEAN and GIVEN, the kernels move a fixed landmark for each window.
-            fixed = self.config.landmark if self._about == OWN else "center"
-            self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
+            # With MEAN and GIVEN, the kernels write each window's landmark over a fixed one.
+            landmark = self.config.landmark if self._landmark_kind == OWN else "center"
+            self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=landmark))
         return self._states[sensor]

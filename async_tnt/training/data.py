@@ -1,4 +1,7 @@
-"""Read a folder of class folders: windows to train, validate and test on, and their record."""
+"""Read a folder of class folders into windows to train, validate and test on.
+
+A description of the recordings goes into the model's record.
+"""
 
 from __future__ import annotations
 
@@ -43,19 +46,20 @@ def dataset_data(
 ) -> TrainingData:
     """Read a folder of class folders into windows to train, validate and test on.
 
-    What is held out for validation are whole groups of recordings. The first window of a recording
-    starts at its first event. Class folders may hold pictures, too. They are split like recordings.
-    Then simulated cameras record them, see `simulated_pictures`.
+    Whole groups of recordings are held out for validation. The first window of a recording starts
+    at the recording's first event. Class folders may hold pictures, too. Pictures are split like
+    recordings. Then simulated cameras record them, see `simulated_pictures`.
 
     Parameters
     ----------
     folder : the data set; it has a folder for each class.
-    volume : how events become volumes. The data set replaces the sensor of a `TNTConfig`, and
-        nothing else. Of a `VolumeChoice`, it also decides the fields that the choice leaves open.
+    volume : how events become volumes. The data set replaces only the sensor of a `TNTConfig`. Of a
+        `VolumeChoice`, it also decides the fields that the choice leaves open.
     pixels : selects the events to learn from by their pixels; by default all.
     reading : facts about files that do not state them.
     split : what is held out, and whether the part `Test` is read.
-    scenes : name of a field of `SceneSettings` -> value, for fields that differ from the default.
+    scenes : how pictures are recorded: name of a field of `SceneSettings` -> value, for the fields
+        that differ from the default.
     work : where events are kept, and how many processes record pictures.
 
     Raises
@@ -65,42 +69,42 @@ def dataset_data(
     """
     choice = VolumeChoice(volume) if isinstance(volume, TNTConfig) else volume
     how = Reading(pixels or Pixels(), reading or ReadOptions(), work)
-    found = find_pictures(folder)
-    dataset = read_part(folder, how, with_pictures=found)
+    picture_files = find_pictures(folder)
+    dataset = read_part(folder, how, with_pictures=picture_files)
     config = choice.for_recordings(dataset.sensor, _longest_us(dataset.recordings))
     pictures, bad_pictures = check_pictures(
-        found, dataset.classes, dataset.recordings.labels, work.progress
+        picture_files, dataset.classes, dataset.recordings.labels, work.progress
     )
-    shown = _Shown(dataset, tuple(pictures))
-    division = divide(shown.names, shown.kinds, split)
+    examples = _Examples(dataset, tuple(pictures))
+    division = divide(examples.names, examples.kinds, split)
 
     scene = SceneSettings(config.sensor, config.window_us, **(scenes or {}))
-    recorded = _record(shown, division, scene, split.seed, work)
-    windows, ended = _windows(recorded, config.window_us, shown.n_recordings, split)
-    _check_windows(windows.training, config, shown.counts)
+    recorded = _record(examples, division, scene, split.seed, work)
+    windows, labels_in_time = _windows(recorded, config.window_us, examples.n_recordings, split)
+    _check_windows(windows.training, config, examples.counts)
     events_a_pixel = None
     if "bins" in choice.fitted:
         events_a_pixel = windows.training.events_a_pixel(config.window_us)
         config = with_bins(config, events_a_pixel)
 
-    record = _about(shown, division, recorded, bad_pictures, how.pixels)
+    record = _description(examples, division, recorded, bad_pictures, how.pixels)
     notes = [
-        *_notes_of_events(dataset, "the recordings"),
-        *_notes_of_volume(choice, config, recorded, events_a_pixel),
-        *_notes_of_split(shown, division, record, windows.validation, split),
+        *_notes_on_events(dataset, "the recordings"),
+        *_notes_on_volume(choice, config, recorded, events_a_pixel),
+        *_notes_on_split(examples, division, record, windows.validation, split),
     ]
-    if ended:
-        names = [dataset.classes[k] for k in ended]
-        notes.append(_note_of_ends(names))
+    if labels_in_time:
+        names = [dataset.classes[k] for k in labels_in_time]
+        notes.append(_note_on_ends(names))
         record["held_out_in_time"] = names
     left_out = [*dataset.left_out, *bad_pictures]
     tests = {}
     if split.test:
-        testing = _read_test(folder, how, dataset)
-        of_test = _windows_of(testing.recordings, config.window_us)
-        tests["test"] = (of_test, {"left_out": list(testing.left_out)})
-        left_out += [f"Test/{line}" for line in testing.left_out]
-        notes += _notes_of_events(testing, "Test")
+        test_part = _read_test(folder, how, dataset)
+        test_windows = _windows_of(test_part.recordings, config.window_us)
+        tests["test"] = (test_windows, {"left_out": list(test_part.left_out)})
+        left_out += [f"Test/{line}" for line in test_part.left_out]
+        notes += _notes_on_events(test_part, "Test")
     return TrainingData(
         config,
         dataset.classes,
@@ -108,7 +112,7 @@ def dataset_data(
         windows.validation,
         record,
         tests,
-        held_out=tuple(shown.names[r] for r in division.held_out),
+        held_out=tuple(examples.names[r] for r in division.held_out),
         masked=_masked(how.pixels, dataset),
         left_out=tuple(left_out),
         notes=tuple(notes),
@@ -119,7 +123,7 @@ def dataset_data(
 
 
 @dataclass(frozen=True)
-class _Shown:
+class _Examples:
     """The content of a data set: recordings of a camera, followed by pictures."""
 
     dataset: Dataset
@@ -137,15 +141,15 @@ class _Shown:
     @property
     def labels(self) -> np.ndarray:
         """int64, (n,): the labels of recordings and pictures."""
-        of_pictures = np.array([picture.label for picture in self.pictures], np.int64)
-        return np.concatenate([self.dataset.recordings.labels, of_pictures])
+        picture_labels = np.array([picture.label for picture in self.pictures], np.int64)
+        return np.concatenate([self.dataset.recordings.labels, picture_labels])
 
     @property
     def kinds(self) -> np.ndarray:
-        """int64, (n,): a number for each pair of a class and a kind, recording or picture.
+        """int64, (n,): 2 * label for a recording, and 2 * label + 1 for a picture.
 
         The split holds out the same share of each number. So it holds out the same share of a
-        class's recordings and of its pictures.
+        class's recordings and of the class's pictures.
         """
         labels = self.labels
         is_picture = np.arange(len(labels)) >= self.n_recordings
@@ -166,36 +170,36 @@ class _Recorded:
     ----------
     recordings : all recordings.
     learned, held_out : indices of the recordings to learn from, and of those that are held out.
-    about : what the model's record says of the pictures; empty without pictures.
+    picture_record : what the model's record says of the pictures; empty without pictures.
     seconds : how long the simulation took.
     """
 
     recordings: Recordings
     learned: np.ndarray
     held_out: np.ndarray
-    about: dict[str, Any]
+    picture_record: dict[str, Any]
     seconds: float
 
 
 def _record(
-    shown: _Shown, division: Division, scene: SceneSettings, seed: int, work: Work
+    examples: _Examples, division: Division, scene: SceneSettings, seed: int, work: Work
 ) -> _Recorded:
-    """Simulate recordings of the pictures, if there are any, and append them."""
-    recordings = shown.dataset.recordings
+    """Simulate recordings of the pictures, and append them to the recordings of the camera."""
+    recordings = examples.dataset.recordings
     learned = division.learned
     held_out = division.held_out
-    if not shown.pictures:
+    if not examples.pictures:
         return _Recorded(recordings, learned, held_out, {}, 0.0)
-    began = time.monotonic()
-    recordings, learned, held_out, about = with_pictures(
+    start_s = time.monotonic()
+    recordings, learned, held_out, picture_record = with_pictures(
         recordings,
-        shown.pictures,
+        examples.pictures,
         (learned, held_out),
         scene,
         seed,
         work,
     )
-    return _Recorded(recordings, learned, held_out, about, time.monotonic() - began)
+    return _Recorded(recordings, learned, held_out, picture_record, time.monotonic() - start_s)
 
 
 @dataclass(frozen=True)
@@ -209,19 +213,20 @@ class _Sides:
 def _windows(
     recorded: _Recorded, window_us: int, n_real: int, split: Split
 ) -> tuple[_Sides, list[int]]:
-    """The windows of both sides, and the labels of classes whose last windows are held out.
+    """The windows of both sides, and the labels of the classes whose last windows are held out.
 
     n_real : number of recordings of a camera, which come before those of pictures.
     """
     training = _windows_of(recorded.recordings, window_us, recorded.learned)
     validation = _windows_of(recorded.recordings, window_us, recorded.held_out)
-    training, validation, ended = hold_out_ends(
+    training, validation, labels_in_time = hold_out_ends(
         training, validation, split.validation, n_real, window_us
     )
-    return _Sides(training, validation), ended
+    return _Sides(training, validation), labels_in_time
 
 
 def _windows_of(recordings: Recordings, window_us: int, which: np.ndarray | None = None) -> Windows:
+    """The windows of the recordings `which`, each recording's first one from its first event on."""
     return make_windows(recordings, window_us, which=which, first_event=True)
 
 
@@ -238,12 +243,11 @@ def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, in
 
     counts : class -> the number of its recordings and pictures.
     """
-    has_windows = set(training.labels.tolist())
-    silent = [name for k, name in enumerate(counts) if counts[name] > 0 and k not in has_windows]
-    if silent:
+    has_windows = set(training.labels.tolist())  # empty windows are not among the windows
+    empty = [name for k, name in enumerate(counts) if counts[name] > 0 and k not in has_windows]
+    if empty:
         raise ValueError(
-            f"no window of class {', '.join(silent)} has an event (windows of {config.window_us} "
-            "us)"
+            f"no window of class {', '.join(empty)} has an event (windows of {config.window_us} us)"
         )
     check = TimeUnitCheck(config)
     for i in range(len(training[:N_JUDGED])):
@@ -254,7 +258,7 @@ def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, in
 def _read_test(folder: Path, how: Reading, dataset: Dataset) -> Dataset:
     """Read the part `Test`: the folder `Test`, or the sessions that the list for `Test` names."""
     test = folder / "Test"
-    return read_part(test if test.is_dir() else folder, how, part="Test", first=dataset)
+    return read_part(test if test.is_dir() else folder, how, part="Test", train_part=dataset)
 
 
 def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
@@ -262,7 +266,7 @@ def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
     mask = pixels.mask_of(dataset.camera)
     if mask is None:
         return None
-    if pixels.crop and pixels.roi is not None:
+    if pixels.crop and pixels.roi is not None:  # the sensor is the region, not the whole camera
         x, y, width, height = pixels.roi
         mask = mask[y : y + height, x : x + width]
     return np.asarray(mask, bool)
@@ -271,26 +275,26 @@ def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
 # -- what the record and the notes say of a data set -----------------------------------------------
 
 
-def _about(
-    shown: _Shown,
+def _description(
+    examples: _Examples,
     division: Division,
     recorded: _Recorded,
     bad_pictures: list[str],
     pixels: Pixels,
 ) -> dict[str, Any]:
     """A description of the recordings, for the model's record."""
-    dataset = shown.dataset
-    n_real = shown.n_recordings
+    dataset = examples.dataset
+    n_real = examples.n_recordings
     record: dict[str, Any] = {
         "source": f"recordings of own classes, held out by {division.held_out_by}",
-        "classes": shown.counts,
+        "classes": examples.counts,
         "sensor": list(dataset.sensor),
         "real_recordings": int((recorded.learned < n_real).sum()),
         "held_out_recordings": int((recorded.held_out < n_real).sum()),
         "left_out": [*dataset.left_out, *bad_pictures],
     }
-    if recorded.about:
-        record["pictures"] = recorded.about
+    if recorded.picture_record:
+        record["pictures"] = recorded.picture_record
     if pixels.leaves_out:
         camera = list(dataset.camera)
         record["pixels"] = {**pixels.about, "camera": camera, **dataset.left_out_events}
@@ -301,32 +305,40 @@ def _about(
     return record
 
 
-def _notes_of_events(dataset: Dataset, where: str) -> list[str]:
-    """A line that tells how many events were left out, and why; no line if all are kept."""
-    words = {"left_out_outside": "outside of the region", "left_out_masked": "of masked pixels"}
-    counts = [f"{n:,} {words[name]}" for name, n in dataset.left_out_events.items()]
+def _notes_on_events(dataset: Dataset, place: str) -> list[str]:
+    """A line that tells how many events of `place` were left out, and why; no line if all stay."""
+    reasons = {"left_out_outside": "outside of the region", "left_out_masked": "of masked pixels"}
+    counts = [f"{n:,} {reasons[name]}" for name, n in dataset.left_out_events.items()]
     if dataset.n_late:
         counts.append(f"{dataset.n_late:,} older than the first one of their recording")
     if dataset.n_off_sensor:
         counts.append(f"{dataset.n_off_sensor:,} off the sensor")
-    return [f"events left out of {where}: {', '.join(counts)}"] if counts else []
+    return [f"events left out of {place}: {', '.join(counts)}"] if counts else []
 
 
-def _notes_of_volume(
+def _notes_on_volume(
     choice: VolumeChoice, config: TNTConfig, recorded: _Recorded, events_a_pixel: float | None
 ) -> list[str]:
-    """Lines that tell what the data set decided of the volume, and how pictures were recorded.
+    """Lines that tell how the data set changed the volume, and how often pictures were recorded.
 
-    events_a_pixel : mean number of events of an active pixel in a window. None: the data set did
-        not decide on time bins.
+    The data set may have shortened the windows, or have decided that there are time bins.
+
+    Parameters
+    ----------
+    choice : the volume that the user asked for.
+    config : the volume that was decided.
+    recorded : all recordings.
+    events_a_pixel : number of events of one polarity that an active pixel has in a window, see
+        `Windows.events_a_pixel`. None: the data set did not decide on time bins.
     """
     notes = []
     if config.window_us != choice.config.window_us:
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
-    if recorded.about:
+    pictures = recorded.picture_record
+    if pictures:
         notes.append(
-            f"pictures: {recorded.about['pictures']}, those to learn from recorded "
-            f"{recorded.about['takes']} times each (took {recorded.seconds:.0f} s)"
+            f"pictures: {pictures['pictures']}, those to learn from recorded "
+            f"{pictures['takes']} times each (took {recorded.seconds:.0f} s)"
         )
     if events_a_pixel is not None and config.representation == "volume":
         notes.append(
@@ -336,24 +348,39 @@ def _notes_of_volume(
     return notes
 
 
-def _notes_of_split(
-    shown: _Shown, division: Division, record: dict[str, Any], validation: Windows, split: Split
+def _notes_on_split(
+    examples: _Examples,
+    division: Division,
+    record: dict[str, Any],
+    validation: Windows,
+    split: Split,
 ) -> list[str]:
-    """Lines that tell how many recordings there are, and which classes are held out."""
-    counts = shown.counts
-    what = "recordings and pictures" if shown.pictures else "recordings"
-    of_each = ", ".join(f"{name} {n}" for name, n in counts.items())
+    """Lines that tell how many recordings there are, how they are divided, and what is missing.
+
+    Parameters
+    ----------
+    examples : the content of the data set.
+    division : which recordings and pictures are held out.
+    record : the description of the recordings.
+    validation : the held-out windows. A line names the classes that have none.
+    split : how the data set was to be divided.
+    """
+    counts = examples.counts
+    noun = "recordings and pictures" if examples.pictures else "recordings"
+    count_of_each = ", ".join(f"{name} {n}" for name, n in counts.items())
     notes = [
-        f"{what}: {of_each}",
-        f"held out by {division.held_out_by}: {division.counted}",
+        f"{noun}: {count_of_each}",
+        f"held out by {division.held_out_by}: {division.count_text}",
     ]
     if division.held_out_by == BY_NUMBER and record["held_out_recordings"]:
         notes.append(
             "the first of them may follow the last learned ones within seconds: such recordings "
             "need groups"
         )
-    is_held_out = set(validation.labels.tolist())
-    single = [name for k, name in enumerate(counts) if counts[name] > 0 and k not in is_held_out]
+    held_out_labels = set(validation.labels.tolist())
+    single = [
+        name for k, name in enumerate(counts) if counts[name] > 0 and k not in held_out_labels
+    ]
     if single and split.validation:
         notes.append(
             "not held out, as there is only one short recording, picture or group: "
@@ -362,7 +389,7 @@ def _notes_of_split(
     return notes
 
 
-def _note_of_ends(names: list[str]) -> str:
+def _note_on_ends(names: list[str]) -> str:
     """A line that explains what it means to hold out the last windows of these classes."""
     return (
         "held out in time, as there is only one recording, or one group of them: the last windows "

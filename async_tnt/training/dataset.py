@@ -1,4 +1,4 @@
-"""Labelled recordings of one sensor, from a folder with a folder of recordings for each class."""
+"""Read labelled recordings of one camera, from a folder that has a folder for each class."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Dataset:
     recordings : the recordings. Times count from each recording's first event.
     classes : names; `recordings.labels` are indices into them.
     camera : (width, height) of the camera.
-    sensor : (width, height) of the sensor that the events are on: the camera's, or the region's if
-        the events were cropped to a region.
+    sensor : (width, height) of the sensor that the events are on. It is the camera's sensor, or a
+        region of it if the events were cropped to a region.
     left_out : the recordings that were left out and why, one line each.
     left_out_events : how many events of `recordings` were left out because of their pixels, under
         the names `left_out_outside` (outside of the region) and `left_out_masked`. Empty without a
@@ -44,8 +44,8 @@ class Dataset:
     n_late : how many events were left out because they are older than their recording's first
         event, where the first window begins.
     n_off_sensor : how many events were left out because they lie off the camera's sensor.
-    known : the recordings that have been read. Another part of the data set must not hold them, see
-        `read_part`.
+    known : the recordings that have been read. Another part of the data set must not have them,
+        too, see `read_part`.
     """
 
     recordings: Recordings
@@ -67,7 +67,8 @@ class Reading:
     ----------
     pixels : selects the events to learn from by their pixels. The others are removed as if they had
         never been recorded: times count from the first event that is left.
-    options : facts about files that do not state them. Its sensor is not used: `pixels` has it.
+    options : facts about files that do not state them. The sensor of `pixels` is used, not the one
+        of `options`.
     work : where the events are kept, and which progress bar is shown.
     """
 
@@ -90,11 +91,11 @@ def read_dataset(
     Parameters
     ----------
     folder : the data set.
-    part : the folder in it that is read, where there is one.
+    part : the folder in the data set that is read, if there is one of this name.
     pixels : selects the events to keep by their pixels; by default all.
     reading : facts about files that do not state them.
     classes : the class names that may occur; by default the names of the class folders, of which
-        there must be two.
+        there must be at least two.
     work : where the events are kept, and which progress bar is shown.
 
     Raises
@@ -112,12 +113,12 @@ def read_part(
     part: str = "Train",
     classes: tuple[str, ...] | None = None,
     with_pictures: Collection[str] = (),
-    first: Dataset | None = None,
+    train_part: Dataset | None = None,
 ) -> Dataset:
     """Read the recordings of one part of a data set.
 
-    All recordings must be of one sensor. `reading.pixels` states it, or at least one of the
-    recordings.
+    All recordings must be of one sensor. `reading.pixels` or at least one of the recordings must
+    state it.
 
     These recordings and events are left out:
 
@@ -136,43 +137,43 @@ def read_part(
     Parameters
     ----------
     folder : the data set.
-    reading : how its files are read.
-    part : the folder in it that is read, where there is one.
+    reading : how the files of the data set are read.
+    part : the folder in the data set that is read, if there is one of this name.
     classes : the class names that may occur; by default the names of the class folders, of which
-        there must be two.
+        there must be at least two.
     with_pictures : classes that need no recordings, because they have pictures.
-    first : the part to train on, when another part is read. The other part must be of the same
-        camera and classes. A recording that is in `first`, too, is left out. If its class differs,
-        it is an error.
+    train_part : the part to train on, when another part is read. The other part must be of the same
+        camera and classes. A recording that is in `train_part`, too, is left out. If its class
+        differs there, it is an error.
 
     Raises
     ------
     ValueError : there are fewer than two classes, or classes that are not in `classes`; a class has
-        no recordings, or none is left; the same recording is in two classes; the recordings are of
-        different sensors, or no sensor is stated; a region or a mask does not fit the sensor; a
-        recording is too long.
+        no recordings, or all of them are left out; the same recording is in two classes; the
+        recordings are of different sensors, or no sensor is stated; a region or a mask does not fit
+        the sensor; a recording is too long.
     OSError : the folder does not exist.
     """
     pixels = reading.pixels
-    if first is not None:
-        classes = first.classes
-        pixels = replace(pixels, sensor=first.camera)
+    if train_part is not None:
+        classes = train_part.classes
+        pixels = replace(pixels, sensor=train_part.camera)
     options = replace(reading.options, sensor=pixels.camera)
-    found = find_recordings(folder, part)
-    _check_classes(folder, found, classes, with_pictures)
-    names = tuple(found) if classes is None else classes
+    files_of_class = find_recordings(folder, part)
+    _check_classes(folder, files_of_class, classes, with_pictures)
+    names = tuple(files_of_class) if classes is None else classes
     labelled = []
     for label, name in enumerate(names):
-        labelled += [(label, recording) for recording in found.get(name, [])]
+        labelled += [(label, file) for file in files_of_class.get(name, [])]
 
-    camera = _camera_of(pixels, first)
+    camera = _camera_of(pixels, train_part)
     if camera is None:
         camera = _stated_camera([file for _, file in labelled], options)
-    known = {} if first is None else first.known
+    known = {} if train_part is None else train_part.known
     reader = _Reader(str(folder), pixels, options, camera, known)
     recordings, left_out = _read_all(labelled, reader, reading)
 
-    _check_left(folder, names, recordings, left_out, classes, with_pictures)
+    _check_no_class_empty(folder, names, recordings, left_out, classes, with_pictures)
     if camera is None:
         raise ParameterValueError(
             "sensor", f"must be given, the camera's: {folder} has pictures, which have no sensor"
@@ -185,13 +186,13 @@ def read_part(
     return Dataset(
         recordings,
         names,
-        camera.size,
-        pixels.region or camera.size,
-        tuple(line for _, line in left_out),
-        left_out_events,
-        reader.n_late,
-        reader.n_off_sensor,
-        reader.known,
+        camera=camera.size,
+        sensor=pixels.region or camera.size,
+        left_out=tuple(line for _, line in left_out),
+        left_out_events=left_out_events,
+        n_late=reader.n_late,
+        n_off_sensor=reader.n_off_sensor,
+        known=reader.known,
     )
 
 
@@ -211,10 +212,10 @@ class _Camera:
     is_parameter: bool = False
 
 
-def _camera_of(pixels: Pixels, first: Dataset | None) -> _Camera | None:
+def _camera_of(pixels: Pixels, train_part: Dataset | None) -> _Camera | None:
     """The camera that is known before a recording is read; None: the recordings must state it."""
-    if first is not None:
-        return _Camera(first.camera, "the recordings to train on")
+    if train_part is not None:
+        return _Camera(train_part.camera, "the recordings to train on")
     if pixels.camera is None:
         return None
     source = "mask" if pixels.sensor is None else "sensor"
@@ -226,16 +227,19 @@ def _stated_camera(files: Sequence[LabelledRecording], options: ReadOptions) -> 
     for file in files:
         # a recording that cannot be opened is reported later, when it is read
         with contextlib.suppress(ValueError, OSError):
-            stated = _opened(file, options).stated_sensor
-            if stated is not None:
-                return _Camera((int(stated[0]), int(stated[1])), file.name)
+            sensor = _open(file, options).stated_sensor
+            if sensor is not None:
+                return _Camera((int(sensor[0]), int(sensor[1])), file.name)
     return None
 
 
 def _read_all(
     labelled: Sequence[tuple[int, LabelledRecording]], reader: _Reader, reading: Reading
 ) -> tuple[Recordings, list[tuple[int, str]]]:
-    """Read all recordings. Returns them, and the label and the reason of each that is left out."""
+    """Read all recordings. Returns them, and label and reason of each recording that is left out.
+
+    labelled : label and file of each recording.
+    """
     left_out: list[tuple[int, str]] = []
     bar = reading.work.progress(len(labelled), "reading")
     with RecordingsWriter(reading.work.store) as writer, bar:
@@ -250,7 +254,7 @@ def _read_all(
         return writer.finish(), left_out
 
 
-def _check_left(
+def _check_no_class_empty(
     folder: str | os.PathLike[str],
     names: tuple[str, ...],
     recordings: Recordings,
@@ -258,24 +262,24 @@ def _check_left(
     classes: tuple[str, ...] | None,
     with_pictures: Collection[str],
 ) -> None:
-    """Refuse a class of which no recording is left.
+    """Refuse a class of which all recordings are left out.
 
-    With given `classes`, single classes may have no recordings, but not all of them.
+    If `classes` are given, some of them may have no recordings. But at least one must have some.
     """
     with_recordings = {names[label] for label in recordings.labels}
     empty = [name for name in names if name not in with_recordings and name not in with_pictures]
-    some_left = len(recordings) > 0 or len(with_pictures) > 0
-    if not empty or (classes is not None and some_left):
+    has_examples = len(recordings) > 0 or len(with_pictures) > 0
+    if not empty or (classes is not None and has_examples):
         return
     reasons = [line.removesuffix(".") for label, line in left_out if names[label] in empty]
-    more = f"; and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+    further = f"; and {len(reasons) - 1} more" if len(reasons) > 1 else ""
     raise ValueError(
         f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the "
-        f"folder (left out: {reasons[0]}{more})"
+        f"folder (left out: {reasons[0]}{further})"
     )
 
 
-def _opened(file: LabelledRecording, options: ReadOptions) -> Recording:
+def _open(file: LabelledRecording, options: ReadOptions) -> Recording:
     """Open a recording, or the labelled part of a session."""
     return open_recording(
         file.path, strict=True, between_us=file.between_us, off_sensor="count", **asdict(options)
@@ -296,8 +300,8 @@ class _Reader:
     folder : the data set, for messages.
     pixels : which events are kept.
     options : how files are read.
-    camera : the sensor; None if nothing states it.
-    known : recordings that have been read before. Each recording that is read is added.
+    camera : the camera's sensor; None if nothing states it.
+    known : recordings that have been read before. Each recording that is read is added to them.
     """
 
     def __init__(
@@ -323,12 +327,12 @@ class _Reader:
 
         Raises
         ------
-        _LeftOut : the recording cannot be read, or is not for training.
+        _LeftOut : the recording is left out, see `read_part`.
         ValueError : the recording is of another sensor, no sensor is stated, the same recording is
             in another class, or it is too long.
         """
         try:
-            recording = _opened(file, self._options)
+            recording = _open(file, self._options)
             if recording.sensor is None and self._camera is not None:
                 recording.sensor = self._camera.size  # another recording stated it
             events = recording.read()
@@ -354,23 +358,23 @@ class _Reader:
         camera = self._camera
         if stated is None or camera is None or tuple(stated) == camera.size:
             return
-        found = f"{format_size(stated)} ({file.name})"
+        other = f"{format_size(stated)} ({file.name})"
         if camera.is_parameter:
             raise ParameterValueError(
                 camera.source,
-                f"must be of the recordings' sensor, {found}",
+                f"must be of the recordings' sensor, {other}",
                 format_size(camera.size),
             )
         raise ValueError(
             f"{self._folder}: all recordings must be of one sensor, got "
-            f"{format_size(camera.size)} ({camera.source}) and {found}"
+            f"{format_size(camera.size)} ({camera.source}) and {other}"
         )
 
     def _check_new(self, file: LabelledRecording, label: int, events: np.ndarray) -> None:
         """Refuse a recording that another class has, too. Leave out a copy in the same class."""
-        mine = label, file.name
-        first = self.known.setdefault(fingerprint(events), mine)
-        if first is mine:  # these events have not been read before
+        this = label, file.name
+        first = self.known.setdefault(fingerprint(events), this)
+        if first is this:  # these events have not been read before
             return
         first_label, first_name = first
         if first_label != label:
@@ -385,49 +389,49 @@ class _Reader:
 
         Events that are older than the first one are left out. The times in `events` may be changed.
         """
-        keep = self._filter
-        kept = events
-        if keep is not None:
-            keep.reset()
-            kept = keep(events)
-        if len(kept) == 0:
+        pixel_filter = self._filter
+        selected = events
+        if pixel_filter is not None:
+            pixel_filter.reset()
+            selected = pixel_filter(events)
+        if len(selected) == 0:
             raise _LeftOut(f"{file.name}: no events at the selected pixels")
 
-        kept["t"] -= kept["t"][0]
-        seen = kept
-        if (np.diff(kept["t"]) < 0).any():
-            seen = kept[kept["t"] >= 0]
-            seen = seen[np.argsort(seen["t"], kind="stable")]
-        if seen["t"][-1] >= MAX_US:
-            minutes = seen["t"][-1] / 60e6
+        selected["t"] -= selected["t"][0]
+        in_order = selected
+        if (np.diff(selected["t"]) < 0).any():
+            in_order = selected[selected["t"] >= 0]
+            in_order = in_order[np.argsort(in_order["t"], kind="stable")]
+        if in_order["t"][-1] >= MAX_US:
+            minutes = in_order["t"][-1] / 60e6
             raise ValueError(
                 f"{file.path}: lasts {minutes:.0f} minutes, more than the 35 that training "
                 "supports; cut it into shorter recordings"
             )
-        self.n_late += len(kept) - len(seen)
-        if keep is not None:
-            self.n_outside += keep.counts.dropped_outside
-            self.n_masked += keep.counts.dropped_masked
-        return seen
+        self.n_late += len(selected) - len(in_order)
+        if pixel_filter is not None:
+            self.n_outside += pixel_filter.counts.dropped_outside
+            self.n_masked += pixel_filter.counts.dropped_masked
+        return in_order
 
 
 def _times_of(file: LabelledRecording, options: ReadOptions) -> str:
     """A text about the times of a whole session, for a labelled part that has no events.
 
     Such a label often has times that count from another origin, or in another unit. The text is
-    empty for a recording that is no part of a session.
+    empty for a file that is no session.
     """
     if file.between_us is None:
         return ""
-    whole = open_recording(file.path, off_sensor="count", **asdict(options))
-    if not whole.n_events:
+    session = open_recording(file.path, off_sensor="count", **asdict(options))
+    if not session.n_events:
         return ""
-    latest_us = whole.earliest_us + whole.duration_us
-    return f"; the file has {whole.earliest_us} to {latest_us} us"
+    latest_us = session.earliest_us + session.duration_us
+    return f"; the file has {session.earliest_us} to {latest_us} us"
 
 
 def fingerprint(events: np.ndarray) -> bytes:
-    """A digest of a recording's events, of which there must be one.
+    """A digest of a recording's events. There must be at least one event.
 
     The same events have the same digest in any file and with any start time.
     """
@@ -440,29 +444,29 @@ def fingerprint(events: np.ndarray) -> bytes:
 
 def _check_classes(
     folder: str | os.PathLike[str],
-    found: dict[str, list[LabelledRecording]],
+    files_of_class: dict[str, list[LabelledRecording]],
     classes: tuple[str, ...] | None,
     with_pictures: Collection[str],
 ) -> None:
-    """Refuse folders that are no known classes, and classes without files."""
+    """Refuse folders that are no known classes, and classes without recordings and pictures."""
     if classes is not None:
-        unknown = [name for name in found if name not in classes]
+        unknown = [name for name in files_of_class if name not in classes]
         if unknown:
             raise ValueError(
                 f"{folder}: unknown class {', '.join(unknown)}; known are {', '.join(classes)}"
             )
-        if not any(found.values()) and not with_pictures:
+        if not any(files_of_class.values()) and not with_pictures:
             raise ValueError(f"{folder}: no recordings in any class folder")
         return
-    if len(found) < 2:
+    if len(files_of_class) < 2:
         raise ValueError(
-            f"{folder}: there must be at least two class folders, got {', '.join(found)}"
+            f"{folder}: there must be at least two class folders, got {', '.join(files_of_class)}"
         )
-    empty = [name for name, paths in found.items() if not paths]
-    without = [name for name in empty if name not in with_pictures]
-    if without:
+    without_recordings = [name for name, files in files_of_class.items() if not files]
+    empty = [name for name in without_recordings if name not in with_pictures]
+    if empty:
         raise ValueError(
-            f"{folder}: no recordings in the class folder {', '.join(without)}; expected files in "
+            f"{folder}: no recordings in the class folder {', '.join(empty)}; expected files in "
             f"{', '.join(sorted(READERS))} there, or pictures, or remove the folder"
         )
 

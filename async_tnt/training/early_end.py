@@ -14,7 +14,7 @@ falls to 0.
     last epoch   min(e + COOLING, the epochs that were asked for)
 
 The rule depends on the history alone. So a training that was interrupted and resumed ends in the
-same epoch. Without anything held out, a training never settles.
+same epoch. If nothing is held out, a training never settles.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 PATIENCE = 10
-"""Epochs without an improvement after which a training has settled."""
+"""Number of epochs without an improvement after which a training has settled."""
 GAIN = 0.1
 """Share by which a held-out loss must fall to count as an improvement.
 
-Where few windows are held out, all of them are soon right. Then only their loss still tells that
-the network learns. An example is a training on three of N-MNIST's digits with 18 windows held out.
-All 18 were right from epoch 10 on. Yet the share of right windows among 540 others still rose: .876
-after 15 epochs, .898 after 34 and .915 after 98."""
+If few windows are held out, all of them are soon right. From then on only their loss shows that the
+network still learns. An example is a training on three of N-MNIST's digits with 18 held-out
+windows. All 18 were right from epoch 10 on. Yet the share of right windows among 540 others still
+rose: .876 after 15 epochs, .898 after 34 and .915 after 98."""
 COOLING = 5
-"""Epochs over which the learning rate falls to 0."""
+"""Number of epochs over which the learning rate falls to 0."""
 SHARES = ("per_window", "per_recording", "f1", "motions_per_window")
-"""Names of the measurements in the history that are 1 when all that is held out is right."""
+"""Names of the measurements in the history that are 1 when all held-out windows are right."""
 LOSSES = ("validation_loss", "motions_validation_loss")
 """Names of the measurements in the history that are losses on held-out windows."""
 

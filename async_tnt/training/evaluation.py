@@ -15,7 +15,7 @@ import torch
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.evaluation.scores import calibration_of, share_right
 from async_tnt.kernels.training.window_batches import SHOWN
-from async_tnt.training.augment import KINDS, of_nothing, unchanged
+from async_tnt.training.augment import KINDS, showing_nothing, unchanged
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
@@ -53,9 +53,9 @@ class Evaluation:
 
     @property
     def against_time(self) -> dict[float, float]:
-        """Moment, in milliseconds -> the share of windows that are classified right by then."""
-        right = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
-        return dict(zip(self.times_ms, right.tolist(), strict=True))
+        """Moment, in milliseconds -> the share of windows that are classified right then."""
+        shares = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
+        return dict(zip(self.times_ms, shares.tolist(), strict=True))
 
     @property
     def confusion(self) -> np.ndarray:
@@ -88,15 +88,15 @@ class Evaluation:
     def calibration_error(self) -> float:
         """The expected calibration error of the decisions at all moments together.
 
-        It is the mean difference between a decision's probability and the share of such decisions
-        that is right.
+        It is the mean difference between a decision's probability and the share of right decisions
+        among those with a similar probability.
         """
         probabilities, labels = self._all_moments
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
-        """Kind of nothing -> the share of windows in which a class has a probability of `SURE`.
+        """Kind of nothing -> the share of windows in which a class has at least probability `SURE`.
 
         Such decisions are wrong, as the windows show no class.
         """
@@ -128,7 +128,9 @@ class Evaluation:
         return {
             "per_window": round(self.per_window, 5),
             "per_recording": round(self.per_recording, 5),
-            "against_time_ms": {f"{ms:g}": round(a, 5) for ms, a in self.against_time.items()},
+            "against_time_ms": {
+                f"{ms:g}": round(share, 5) for ms, share in self.against_time.items()
+            },
             "calibration_error": round(self.calibration_error, 5),
             "sure_of_nothing": {
                 kind: round(share, 5) for kind, share in self.sure_of_nothing.items()
@@ -140,16 +142,16 @@ class Evaluation:
 
 
 def class_probabilities(
-    pipeline: Pipeline, windows: Windows, *, until_us: int | None = None, nothing: int = SHOWN
+    pipeline: Pipeline, windows: Windows, *, until_us: int | None = None, content: int = SHOWN
 ) -> np.ndarray:
     """Probability of each class for each window: float64, shape (N, n_classes).
 
     Parameters
     ----------
     pipeline : the model. If it is in training mode, it is in training mode again afterwards.
-    windows : what to classify.
+    windows : the windows to classify.
     until_us : only the events of each window's first `until_us` microseconds count; all by default.
-    nothing : SHOWN, or the kind of nothing that the windows show instead of their recordings, see
+    content : SHOWN, or the kind of nothing that the windows show instead of their recordings, see
         `Draws`.
     """
     if len(windows) == 0:
@@ -163,10 +165,11 @@ def class_probabilities(
             draws = unchanged(len(batch), pipeline.config)
             if until_us is not None:
                 draws.until_us[:] = until_us
-            if nothing != SHOWN:
+            if content != SHOWN:
+                # a fixed seed for each window, so that each evaluation has the same events
                 draws.seed[:] = np.arange(first, first + len(batch))
-                rng = np.random.default_rng((first, nothing))
-                draws = of_nothing(draws, np.full(len(batch), nothing, np.int64), rng)
+                rng = np.random.default_rng((first, content))
+                draws = showing_nothing(draws, np.full(len(batch), content, np.int64), rng)
             logits = pipeline(batch, draws)
             parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
     pipeline.train(was_training)
@@ -178,14 +181,18 @@ def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.nd
 
     The class of a recording is decided by the mean of its windows' probabilities.
     """
-    recordings, place = np.unique(windows.recording, return_inverse=True)
-    total = np.zeros((len(recordings), probabilities.shape[1]))
-    np.add.at(total, place, probabilities)
-    return _confusion(windows.recordings.labels[recordings], total)
+    recordings, index_of_window = np.unique(windows.recording, return_inverse=True)
+    # the class with the highest sum is the class with the highest mean
+    sums = np.zeros((len(recordings), probabilities.shape[1]))
+    np.add.at(sums, index_of_window, probabilities)
+    return _confusion(windows.recordings.labels[recordings], sums)
 
 
 def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Counts by true class (row) and most probable class (column): (n_classes, n_classes)."""
+    """Counts by true class (row) and most probable class (column): (n_classes, n_classes).
+
+    labels, probabilities : (N,) and (N, n_classes); the rows of `probabilities` need no sum of 1.
+    """
     confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
     np.add.at(confusion, (labels, probabilities.argmax(1)), 1)
     return confusion
@@ -194,12 +201,12 @@ def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
 def evaluate(
     pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...] = ()
 ) -> Evaluation:
-    """Classify all windows, complete and after each of `times_ms`.
+    """Classify all windows at their ends, and at the earlier moments `times_ms`.
 
     Parameters
     ----------
     pipeline : the model, see `pipeline_of`.
-    windows : what to classify.
+    windows : the windows to classify.
     times_ms : moments, in milliseconds since a window's start. Moments at its end or later are left
         out. A window that has no event before a moment is classified by its empty volume.
     """
@@ -211,5 +218,5 @@ def evaluate(
     ]
     nothing = {}
     for name, kind in KINDS.items():
-        nothing[name] = class_probabilities(pipeline, windows, nothing=kind)
+        nothing[name] = class_probabilities(pipeline, windows, content=kind)
     return Evaluation(windows, times, np.stack(probabilities), nothing)

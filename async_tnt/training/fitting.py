@@ -1,6 +1,7 @@
 """Make a finished model from windows.
 
-The model is trained, and then calibrated on held-out windows. Its record says how it was made.
+The model is trained. Then a classifier is calibrated on held-out windows, see `temperature`. The
+model's record says how it was made.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ class Fitted:
 
     Parameters
     ----------
-    model : the calibrated model. Its record says what it was trained on, how, and how accurate it
-        is on what was held out.
+    model : the model; a classifier is calibrated if windows are held out. The model's record says
+        what it was trained on, how it was trained, and how accurate it is on the held-out windows.
     scores : the scores of the held-out recordings, see `scores_of`. None if nothing is held out,
-        and for a map model.
+        and None for a map model.
     history : one dict per epoch, see `train`.
     """
 
@@ -45,21 +46,22 @@ class Fitted:
     scores: dict[str, Any] | None
     history: list[dict[str, float]]
 
-    def with_record(self, **more: Any) -> Fitted:
+    def with_record(self, **entries: Any) -> Fitted:
         """The same model with more entries in its record."""
-        return replace(self, model=replace(self.model, record={**self.model.record, **more}))
+        return replace(self, model=replace(self.model, record={**self.model.record, **entries}))
 
     def tested(self, data: TrainingData) -> Fitted:
         """The same model with the accuracy on `data.tests` in its record. This may take long."""
         pipeline = pipeline_of(self.model)
-        found = {}
-        for name, (windows, more) in data.tests.items():
-            if self.model.places is not None:
-                scores = SceneScores(data.config, self.model, windows).to_dict(pipeline)
+        is_map_model = self.model.places is not None
+        entries = {}
+        for name, (windows, further_values) in data.tests.items():
+            if is_map_model:
+                scores = SceneScores(data.config, self.model, windows).evaluate(pipeline)
             else:
                 scores = evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict()
-            found[name] = {**scores, **more}
-        return self.with_record(**found)
+            entries[name] = {**scores, **further_values}
+        return self.with_record(**entries)
 
 
 def fit(
@@ -73,7 +75,9 @@ def fit(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
-    """Train a model on `data.training`. Calibrate it and measure its accuracy on `data.validation`.
+    """Train a model on `data.training`, and measure its accuracy on `data.validation`.
+
+    A classifier is also calibrated on `data.validation`. A map model is not.
 
     Parameters
     ----------
@@ -96,16 +100,18 @@ def fit(
     model = result.model
     record = _record(data, settings, result, start, motions)
     scores = None
-    if settings.everywhere and len(data.validation):
-        found_objects = SceneScores(data.config, model, data.validation)
-        record["validation"] = found_objects.to_dict(pipeline_of(model))
-    elif len(data.validation):
-        found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
-        model, temperature = calibrated(model, found.temperature)
-        found = found.at_temperature(temperature)
-        record["validation"] = found.to_dict()
+    has_validation = len(data.validation) > 0
+    is_map_model = settings.everywhere
+    if has_validation and is_map_model:
+        scorer = SceneScores(data.config, model, data.validation)
+        record["validation"] = scorer.evaluate(pipeline_of(model))
+    elif has_validation:
+        evaluation = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
+        model, temperature = calibrated(model, evaluation.temperature)
+        evaluation = evaluation.at_temperature(temperature)
+        record["validation"] = evaluation.to_dict()
         record["temperature"] = round(temperature, 5)
-        scores = scores_of(data.classes, found.recording_confusion, found.confusion)
+        scores = scores_of(data.classes, evaluation.recording_confusion, evaluation.confusion)
     if motions is not None and len(motions.validation) >= MIN_MOVED:
         record["validation_motions"] = _scores_in_motions(model, motions)
     return Fitted(replace(model, record=record), scores, result.history)
@@ -137,16 +143,17 @@ def _record(
     if motions is not None:
         record["motions"] = motions.record
     if start is not None:
-        kept = [name for name in STARTED_FROM if name in start.record]
-        record["started_from"] = {name: start.record[name] for name in kept}
+        names = [name for name in STARTED_FROM if name in start.record]
+        record["started_from"] = {name: start.record[name] for name in names}
     return record
 
 
 def _scores_in_motions(model: Model, motions: Motions) -> dict[str, Any]:
     """The accuracy on held-out windows under other motions, for the record."""
-    found = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
-    # Each of these windows is a recording of its own: scores by recording would repeat the others.
-    return {name: value for name, value in found.items() if "recording" not in name}
+    scores = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
+    # Each of these windows is a recording of its own. So the scores by recording would repeat the
+    # scores by window.
+    return {name: value for name, value in scores.items() if "recording" not in name}
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:
@@ -154,4 +161,5 @@ def moments_ms(model: Model) -> tuple[float, ...]:
 
     They divide a window into ten equal parts. The window's end is not among them.
     """
+    # 1e4: ten parts, and 1000 microseconds in a millisecond
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

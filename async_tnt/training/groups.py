@@ -17,13 +17,13 @@ from async_tnt.base.checks import ParameterValueError
 from async_tnt.sources.files.labelled_recordings import file_of
 
 MIN_WINDOWS = 10
-"""Number of windows that a session must have for its last windows to be held out."""
+"""Least number of windows of which the last ones are held out, see `hold_out_end`."""
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
     """The group of each recording: the text that a regular expression finds in its name.
 
-    If the expression has parentheses, the group is the text in them.
+    If the expression has parentheses, the group is the text that they match.
 
     Parameters
     ----------
@@ -42,15 +42,15 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
         ) from None
     groups = []
     for name in names:
-        found = compiled.search(name)
-        if found is None:
+        match = compiled.search(name)
+        if match is None:
             raise ParameterValueError(
                 "groups",
                 "must be found in the name of every recording",
                 f"{pattern!r}, which is not in {name}",
             )
-        in_parentheses = "/".join(part or "" for part in found.groups())
-        groups.append(in_parentheses or found[0])
+        in_parentheses = "/".join(part or "" for part in match.groups())
+        groups.append(in_parentheses or match[0])
     return groups
 
 
@@ -62,8 +62,9 @@ def hold_out_last(
     The names of a class must differ in numbers only. Several numbers in a name are compared from
     left to right. Parts of sessions count as not numbered.
 
-    The two sides may still resemble each other: the last learned recording of a class is followed
-    by the first held-out one, and the same people or places may occur on both sides.
+    The recordings to learn from may still resemble those that are held out. The last learned
+    recording of a class is followed by the first held-out one, and the same people or places may
+    occur in both.
 
     Parameters
     ----------
@@ -75,7 +76,8 @@ def hold_out_last(
     -------
     train, held_out : see `hold_out_groups`. None instead of both if recordings are not numbered.
     """
-    if any(file_of(name) != name for name in names):
+    has_parts_of_sessions = any(file_of(name) != name for name in names)
+    if has_parts_of_sessions:
         return None
     held_out = np.zeros(len(labels), bool)
     for label in np.unique(labels):
@@ -83,15 +85,15 @@ def hold_out_last(
         if len(members) == 1:  # the only recording is learned from, whatever its name
             continue
         stems = [PurePosixPath(names[r]).stem for r in members]
-        # the names must be equal but for their numbers, and have some
+        # the names must have numbers, and differ in nothing else
         without_numbers = {re.sub(r"\d+", "0", stem) for stem in stems}
         if len(without_numbers) != 1 or "0" not in without_numbers.pop():
             return None
         numbers = [[int(digits) for digits in re.findall(r"\d+", stem)] for stem in stems]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
         n_wanted = max(1, round(share * len(ordered))) if share else 0
-        first = max(1, len(ordered) - n_wanted)  # at least one recording is learned from
-        held_out[ordered[first:]] = True
+        n_learned = max(1, len(ordered) - n_wanted)  # at least one recording is learned from
+        held_out[ordered[n_learned:]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
@@ -113,11 +115,11 @@ def hold_out_groups(
         with a single group is not held out.
     """
     group_of = np.unique(np.asarray(groups), return_inverse=True)[1]
-    # the place of each recording's group in a random order of the groups
-    place = np.argsort(rng.permutation(group_of.max(initial=-1) + 1))[group_of]
-    # members[k]: the recordings of the k-th group in this order
-    by_place = np.argsort(place, kind="stable")
-    members = np.split(by_place, np.cumsum(np.bincount(place))[:-1])
+    # the rank of each recording's group in a random order of the groups
+    rank = np.argsort(rng.permutation(group_of.max(initial=-1) + 1))[group_of]
+    # members[k]: the recordings of the group with rank k
+    by_rank = np.argsort(rank, kind="stable")
+    members = np.split(by_rank, np.cumsum(np.bincount(rank))[:-1])
     n_of_class = np.bincount(labels)
     n_wanted = np.zeros(len(n_of_class))
     if share:
@@ -125,14 +127,15 @@ def hold_out_groups(
     n_left = n_of_class.copy()
     held_out = np.zeros(len(labels), bool)
     for label in np.flatnonzero(n_of_class):
-        for group in np.unique(place[labels == label]):
+        for group in np.unique(rank[labels == label]):
             n_held_out = n_of_class[label] - n_left[label]
             if n_held_out >= n_wanted[label]:
                 break
             counts = np.bincount(labels[members[group]], minlength=len(n_of_class))
             # each class that the group has must keep a recording to learn from
             leaves_some = ((n_left > counts) | (counts == 0)).all()
-            is_held_out = held_out[members[group][0]]  # with an earlier class
+            # the group may be held out already, because of an earlier class that it has, too
+            is_held_out = held_out[members[group][0]]
             if leaves_some and not is_held_out:
                 held_out[members[group]] = True
                 n_left -= counts
@@ -140,17 +143,18 @@ def hold_out_groups(
 
 
 def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hold out the last windows of one session, or of several sessions, one after the other.
+    """Hold out the last windows of a session, or of several sessions in a row.
 
     Parameters
     ----------
-    n_windows : number of windows, which are in the order of their starts.
+    n_windows : number of windows. They are in order: session after session, and by their starts.
     share : the share to hold out, rounded to whole windows.
 
     Returns
     -------
-    train, held_out : indices of windows. The window between the two sides is in neither of them, so
-        that the sides share no moment. If there are fewer than `MIN_WINDOWS`, nothing is held out.
+    train, held_out : indices of windows. The window between `train` and `held_out` is in neither of
+        them, so that they share no moment. If there are fewer than `MIN_WINDOWS`, nothing is held
+        out.
 
     Examples
     --------
@@ -161,6 +165,7 @@ def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
     order = np.arange(n_windows)
     n_held_out = 0
     if n_windows >= MIN_WINDOWS:
+        # two windows remain: one to learn from, and the one between
         n_held_out = min(round(share * n_windows), n_windows - 2)
     if n_held_out == 0:
         return order, order[:0]

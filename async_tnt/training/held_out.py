@@ -1,6 +1,6 @@
 """Decide what is held out of a data set: recordings and pictures, or the last windows of a class.
 
-`groups` finds the groups of recordings, and draws among them.
+The module `groups` finds the groups of recordings, and draws some of them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Split:
     Parameters
     ----------
     validation : share of each class's recordings to hold out. At least one recording is held out of
-        a class with two groups. 0: none.
+        a class with two groups. 0: nothing is held out.
     groups : a regular expression that finds a recording's group in its name, see
         `groups_by_pattern`. None: the recordings of each class with the highest numbers are held
         out, or recordings drawn at random if they are not numbered.
@@ -65,13 +65,13 @@ class Division:
     ----------
     learned, held_out : int64, indices of recordings and pictures.
     held_out_by : the rule that divided them, as text for the model's record.
-    counted : text that says how many are held out of how many.
+    count_text : text that says how many recordings, or groups of them, are held out of how many.
     """
 
     learned: np.ndarray
     held_out: np.ndarray
     held_out_by: str
-    counted: str
+    count_text: str
 
 
 def divide(names: Sequence[str], labels: np.ndarray, split: Split) -> Division:
@@ -79,7 +79,7 @@ def divide(names: Sequence[str], labels: np.ndarray, split: Split) -> Division:
 
     Parameters
     ----------
-    names : their names, `class/file`.
+    names : the names of recordings and pictures, `class/file`.
     labels : int64, one for each name. The share `split.validation` of each label is held out.
     split : the share, and how recordings are grouped.
     """
@@ -88,11 +88,12 @@ def divide(names: Sequence[str], labels: np.ndarray, split: Split) -> Division:
         groups = groups_by_pattern(files, split.groups)
         held_out_by = f"group ({split.groups})"
     else:
-        last = hold_out_last(names, labels, split.validation)
-        if last is not None:
-            learned, held_out = last
-            counted = f"{len(held_out)} of {len(labels)} recordings"
-            return Division(learned, held_out, BY_NUMBER, counted)
+        by_number = hold_out_last(names, labels, split.validation)
+        if by_number is not None:
+            learned, held_out = by_number
+            count_text = f"{len(held_out)} of {len(labels)} recordings"
+            return Division(learned, held_out, BY_NUMBER, count_text)
+        # recordings that are not numbered: each file is a group
         groups = files
         held_out_by = "recording" if files == list(names) else "session"
     rng = np.random.default_rng(split.seed)
@@ -111,8 +112,9 @@ def hold_out_ends(
     Parameters
     ----------
     training, validation : windows of the learned recordings, and of those that are held out.
-    share : share of the windows of such a class that is held out; 0: none.
-    n_real : number of recordings of a camera. The recordings after them are of pictures.
+    share : share of the windows of such a class that is held out; 0: nothing is held out.
+    n_real : number of recordings of a camera. The recordings after them are of pictures. Windows of
+        pictures are not held out.
     window_us : length of a window.
 
     Returns
@@ -121,7 +123,7 @@ def hold_out_ends(
     """
     if not share:
         return training, validation, []
-    # where each training window is: its time in its session, and the rank of its file
+    # each training window's time in its session, and the rank of its file
     times_us = training.start_us + _session_starts_us(training.recordings)[training.recording]
     files = _file_order(training.recordings)[training.recording]
     is_real = training.recording < n_real
@@ -129,39 +131,39 @@ def hold_out_ends(
     labels = []
     ends = []
     for label in np.setdiff1d(training.labels, validation.labels):
-        of_class = np.flatnonzero((training.labels == label) & is_real)
-        # file after file, and in order of time in each
-        of_class = of_class[np.lexsort((times_us[of_class], files[of_class]))]
-        learned, held_out = hold_out_end(len(of_class), share)
+        members = np.flatnonzero((training.labels == label) & is_real)
+        # file after file, and by time in each file
+        members = members[np.lexsort((times_us[members], files[members]))]
+        learned, held_out = hold_out_end(len(members), share)
         if not len(held_out):
             continue
-        learned = of_class[learned]
-        held_out = of_class[held_out]
+        learned = members[learned]
+        held_out = members[held_out]
         first = held_out[0]
         # Parts of a session may overlap in time. A window that reaches into the first held-out
         # window is not learned from.
-        is_elsewhere = files[learned] != files[first]
+        is_in_other_file = files[learned] != files[first]
         ends_before = times_us[learned] + window_us <= times_us[first]
-        is_kept[of_class] = False
-        is_kept[learned] = is_elsewhere | ends_before
+        is_kept[members] = False
+        is_kept[learned] = is_in_other_file | ends_before
         labels.append(int(label))
         ends.append(held_out)
     if not labels:
         return training, validation, labels
-    more = training[np.concatenate(ends)]
+    last_windows = training[np.concatenate(ends)]
     held_out_windows = Windows(
         training.recordings,
-        np.concatenate([validation.recording, more.recording]),
-        np.concatenate([validation.start_us, more.start_us]),
+        np.concatenate([validation.recording, last_windows.recording]),
+        np.concatenate([validation.start_us, last_windows.start_us]),
     )
     return training[np.flatnonzero(is_kept)], held_out_windows, labels
 
 
 def _session_starts_us(recordings: Recordings) -> np.ndarray:
-    """The time in its session at which each recording begins, in microseconds.
+    """The time at which each recording begins in its session, in microseconds.
 
-    The name of a part of a session ends in its times, `session.npz[1000:2000]`. A recording with a
-    file of its own begins at 0.
+    The name of a part of a session ends in the part's times, `session.npz[1000:2000]`. A recording
+    with a file of its own begins at 0.
     """
     starts = []
     for name in recordings.names:

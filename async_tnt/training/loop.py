@@ -60,21 +60,21 @@ def train(
 ) -> TrainResult:
     """Train a classifier, or a map model.
 
-    After each epoch a checkpoint is written into the run folder. A run that finds a checkpoint
+    After each epoch a checkpoint is written into the run folder. A training that finds a checkpoint
     there resumes from it. It ends with the same weights as if it had never stopped, because all
-    randomness is drawn from (seed, epoch). The model has the weights of the last epoch, whatever
-    its accuracy.
+    randomness is drawn from (seed, epoch). The model has the weights of the last epoch, even if the
+    accuracy was higher after an earlier epoch.
 
     Parameters
     ----------
     data : windows to learn from, and held-out windows, on which the accuracy is measured after each
-        epoch. With `settings.ends_early` the held-out windows decide the last epoch. They decide
-        nothing else.
+        epoch. With `settings.ends_early` the held-out windows decide which epoch is the last. They
+        decide nothing else.
     settings : how to train.
     run_folder : the folder for checkpoint and history; made if missing.
     start : a model to continue from; None starts with random weights.
-    motions : the training windows under other motions. Each epoch shows some windows as recorded,
-        and the others under another motion.
+    motions : the training windows under other motions, see `moved_windows`. Each epoch shows some
+        windows as recorded, and the others under another motion.
     teachers : models that the trained model imitates. The mean of their probabilities makes up half
         of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
     progress : makes the progress bar, which counts optimizer steps.
@@ -175,15 +175,17 @@ class _Run:
         self.n_epochs = settings.n_epochs(len(data.training))
 
         n_classes = len(data.classes)
-        self._windowed = ClassOfWindows(data.config, data.validation, settings, n_classes, teachers)
-        self._objective: ClassOfWindows | ObjectsInScenes = self._windowed
-        if settings.everywhere:
+        self._window_objective = ClassOfWindows(
+            data.config, data.validation, settings, n_classes, teachers
+        )
+        self._objective: ClassOfWindows | ObjectsInScenes = self._window_objective
+        if settings.everywhere:  # a map model
             self._objective = ObjectsInScenes(data.config, data.validation, settings, data.classes)
 
         self._device = "cuda" if torch.cuda.is_available() else "cpu"
         self._pipeline = self._first_pipeline(start).to(self._device)
-        placed: Any = self._pipeline  # torch's type stubs of `to` lack `memory_format`
-        placed.to(memory_format=torch.channels_last)  # makes a step a third faster
+        untyped: Any = self._pipeline  # torch's type stubs of `to` lack `memory_format`
+        untyped.to(memory_format=torch.channels_last)  # makes a step a third faster
         average = partial(_average, settings.averaging)
         self._averaged = AveragedModel(self._pipeline, avg_fn=average, use_buffers=True)
         self._optimizer = _optimizer(self._pipeline, settings)
@@ -217,40 +219,42 @@ class _Run:
         )
 
     @property
-    def _final(self) -> Pipeline:
+    def _final_pipeline(self) -> Pipeline:
         """The pipeline whose weights the model gets: averaged, or those of the last step."""
         if not self._settings.averaging:
             return self._pipeline
         averaged: Any = self._averaged.module
-        kept: Pipeline = averaged
-        return kept
+        pipeline: Pipeline = averaged
+        return pipeline
 
     def train_epoch(self, epoch: int, settled: int | None, bar: Bar) -> dict[str, float]:
         """Train one epoch. Returns its row of the history.
 
-        settled : the epoch after which the training settled, see `settled_at`; None: not yet.
+        epoch : number of the epoch, from 0 on.
+        settled : number of epochs after which the training settled, see `settled_at`; None: it has
+            not settled yet.
         """
         settings = self._settings
         self._pipeline.train()
         # dropout draws from torch's global generator
         torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])
-        first = epoch * self.n_steps
-        n_steps = min(self.n_steps, self.n_iterations - first)
+        first_step = epoch * self.n_steps
+        n_steps = min(self.n_steps, self.n_iterations - first_step)
         cooling = None
         if settled is not None:
             cooling = settled * self.n_steps, (settled + COOLING) * self.n_steps
         total_loss = 0.0
         n_right = 0
         n_counted = 0
-        n_seen = 0
+        n_windows = 0
         batches = batches_of(self._data.config, self._data.training, settings, epoch, self._motions)
-        for step, (windows, draws) in enumerate(islice(batches, n_steps), first):
+        for step, (windows, draws) in enumerate(islice(batches, n_steps), first_step):
             _set_rate(self._optimizer, settings, step, self.n_iterations, cooling)
-            found = self._step(windows, draws)
-            total_loss += found.loss.item() * len(windows)
-            n_right += found.n_right
-            n_counted += found.n
-            n_seen += len(windows)
+            batch = self._step(windows, draws)
+            total_loss += batch.loss.item() * len(windows)
+            n_right += batch.n_right
+            n_counted += batch.n
+            n_windows += len(windows)
             bar.update(title=f"epoch {epoch + 1}/{self.n_epochs}")
         if not math.isfinite(total_loss):
             raise ValueError(
@@ -258,31 +262,32 @@ class _Run:
             )
         return {
             "epoch": epoch + 1,
-            "iterations": first + n_steps,
-            "loss": total_loss / n_seen,
+            "iterations": first_step + n_steps,
+            "loss": total_loss / n_windows,
             "training": n_right / max(1, n_counted),
-            **self._objective.validate(self._final),
+            **self._objective.validate(self._final_pipeline),
             **self._validate_motions(),
         }
 
     def _step(self, windows: Windows, draws: Draws | None) -> BatchLoss:
         """Take one step of the optimizer. Returns the loss of the batch."""
         with torch.autocast(self._device, torch.bfloat16, enabled=self._in_16_bits):
-            found = self._objective.loss(self._pipeline, windows, draws)
+            batch = self._objective.loss(self._pipeline, windows, draws)
         self._optimizer.zero_grad(set_to_none=True)
-        found.loss.backward()
+        batch.loss.backward()
         self._optimizer.step()
         if self._settings.averaging:
             self._averaged.update_parameters(self._pipeline)
-        return found
+        return batch
 
     def _validate_motions(self) -> dict[str, float]:
         """Accuracy and loss on held-out windows under other motions; empty if they are too few."""
         if self._motions is None or len(self._motions.validation) < MIN_MOVED:
             return {}
-        found = self._windowed.of_windows(self._final, self._motions.validation)
+        scores = self._window_objective.scores(self._final_pipeline, self._motions.validation)
+        # each of these windows is a recording of its own
         return {
-            f"motions_{name}": value for name, value in found.items() if name != "per_recording"
+            f"motions_{name}": value for name, value in scores.items() if name != "per_recording"
         }
 
     def save(self) -> None:
@@ -298,7 +303,7 @@ class _Run:
 
     def model(self) -> Model:
         """The model with the weights as they are now."""
-        return export(self._final, self._data.classes, self._objective.config)
+        return export(self._final_pipeline, self._data.classes, self._objective.config)
 
 
 def batches_of(
@@ -310,13 +315,13 @@ def batches_of(
 ) -> Iterator[tuple[Windows, Draws | None]]:
     """Yield the batches of one epoch: windows, and how they are augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
-    passes = []
+    orders = []
     for _ in range(settings.passes):
         if settings.balance:
-            passes.append(balanced_order(windows.labels, rng))
+            orders.append(balanced_order(windows.labels, rng))
         else:
-            passes.append(rng.permutation(len(windows)))
-    order = np.concatenate(passes)
+            orders.append(rng.permutation(len(windows)))
+    order = np.concatenate(orders)
     shown = windows[order] if motions is None else motions.show(epoch, order, rng)
     for first in range(0, len(shown), settings.batch):
         batch = shown[first : first + settings.batch]
@@ -327,15 +332,15 @@ def batches_of(
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A random order of window indices in which every class is equally frequent (within one).
+    """A random order of window indices in which all classes have equally many indices, or one more.
 
-    The order has as many indices as there are labels. The windows of a class with fewer windows
-    than its share are repeated, each time in another order. Of a class with more windows, each
-    epoch shows a different part.
+    The order has as many indices as there are labels. If a class has too few windows, they are
+    repeated, each time in another order. If a class has too many, each epoch shows a different part
+    of them.
 
-    The alternative, to show rare classes seldom but with a large weight in the loss, is worse:
-    steps are steadier if each batch has windows of a rare class. And augmentation makes each
-    repetition different.
+    The alternative is to show rare classes seldom, but with a large weight in the loss. It is
+    worse, because steps are steadier if each batch has windows of a rare class. And augmentation
+    makes each repetition different.
 
     Examples
     --------
@@ -344,24 +349,24 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     array([4, 4])
     """
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
-    # Some classes get one index more than others. They are drawn at random.
-    rng.shuffle(shares)
+    counts = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
+    # Which classes get one index more than the others is drawn at random.
+    rng.shuffle(counts)
     chosen = []
-    for places, share in zip(members, shares, strict=True):
-        n_rounds = -(-int(share) // len(places))
-        rounds = [rng.permutation(places) for _ in range(n_rounds)]
-        chosen.append(np.concatenate(rounds)[:share])
+    for indices, count in zip(members, counts, strict=True):
+        n_rounds = -(-int(count) // len(indices))  # rounded up
+        rounds = [rng.permutation(indices) for _ in range(n_rounds)]
+        chosen.append(np.concatenate(rounds)[:count])
     return rng.permutation(np.concatenate(chosen))
 
 
 def _is_fast_at_bfloat16(device: str) -> bool:
-    """Whether the hardware multiplies in 16 bits. For a processor, False on systems but Linux."""
+    """Whether the hardware multiplies in 16 bits. For a processor only Linux can tell it."""
     if device.startswith("cuda"):
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     try:
         words = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
-    except OSError:  # only Linux has this file
+    except OSError:  # a system without this file
         return False
     return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 
@@ -373,9 +378,16 @@ def _average(
 
     A step keeps `share` of the average before it, but the first steps keep less. Otherwise the
     initial weights would count as much as the weights of hundreds of steps.
+
+    Parameters
+    ----------
+    share : see `TrainSettings.averaging`.
+    before : the average before the step.
+    now : the weight after the step.
+    n : number of steps in the average so far.
     """
-    kept = min(share, (1 + int(n)) / (10 + int(n)))
-    return before * kept + now * (1 - kept)
+    kept_share = min(share, (1 + int(n)) / (10 + int(n)))
+    return before * kept_share + now * (1 - kept_share)
 
 
 def _optimizer(pipeline: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
@@ -395,11 +407,20 @@ def _set_rate(
 ) -> None:
     """Set the learning rate of a step.
 
-    cooling : of a training that ends early, the step at which the rate begins to fall, and the step
-        at which it would be 0. None: the training has not settled.
+    Parameters
+    ----------
+    optimizer : gets the rate.
+    settings : how to train.
+    step : number of the step, from 0 on.
+    n_steps : number of steps of the whole training, if it does not end early.
+    cooling : if the training ends early, the step at which the rate begins to fall, and the step at
+        which it would be 0. None: the training has not settled.
     """
-    share = _share_of_rate(settings, step if cooling is None else cooling[0], n_steps)
-    if cooling is not None:
+    if cooling is None:
+        share = _share_of_rate(settings, step, n_steps)
+    else:
+        # the rate falls from where it was when the training settled
+        share = _share_of_rate(settings, cooling[0], n_steps)
         share *= share_while_cooling(step, *cooling)
     for group in optimizer.param_groups:
         group["lr"] = settings.learning_rate * share
@@ -407,7 +428,7 @@ def _set_rate(
 
 def _share_of_rate(settings: TrainSettings, step: int, n_steps: int) -> float:
     """The share of the highest learning rate, at a step of a training that does not end early."""
-    warm = max(1, int(settings.warm_up * n_steps))
-    if step < warm:
-        return (step + 1) / warm
-    return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, n_steps - warm)))
+    n_warm = max(1, int(settings.warm_up * n_steps))
+    if step < n_warm:
+        return (step + 1) / n_warm
+    return 0.5 * (1.0 + math.cos(math.pi * (step - n_warm) / max(1, n_steps - n_warm)))

@@ -1,6 +1,7 @@
 """Training windows under other motions: their files, and how an epoch shows them.
 
-`training.resynthesis` makes these windows. An .npz file has n consecutive windows:
+A window under another motion has the events that its object would have given if it had moved on
+another path. `training.resynthesis` makes these windows. An .npz file has n consecutive windows:
 
     moved_0, moved_1, ...   structured (t, x, y, p): the events of all n windows. In each of these
                             arrays every window has another random motion. Window i begins at the
@@ -40,8 +41,8 @@ class MotionSettings:
 
     Parameters
     ----------
-    variations : number of other motions of each window. An epoch shows one of them, the next epoch
-        the next one.
+    variations : number of other motions of each window. Each epoch shows one of them, and the next
+        epoch shows the next one.
     recorded : share of the windows that an epoch shows as they were recorded.
     seed : decides the motions and the simulation.
 
@@ -61,7 +62,7 @@ class MotionSettings:
             raise ParameterValueError("recorded", "must be in [0, 1]", self.recorded)
 
     def for_epochs(self, n: int) -> MotionSettings:
-        """The same settings with at most `n` variations, as `n` epochs show no more."""
+        """The same settings with at most `n` variations, because `n` epochs show no more."""
         return replace(self, variations=min(self.variations, n))
 
 
@@ -95,54 +96,64 @@ class Motions:
     record: dict[str, Any]
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
-        """The windows `order` as an epoch shows them: under another motion, or as recorded.
+        """The windows that an epoch shows, each under another motion or as recorded.
 
         A recorded window also has the events before and after it, because augmentation may move the
         window's start.
+
+        Parameters
+        ----------
+        epoch : number of the epoch, from 0 on.
+        order : indices of the windows, in the order in which they are shown.
+        rng : draws which windows are shown as recorded.
         """
         is_moved = (self.spans[order] > 0) & (rng.random(len(order)) >= self.settings.recorded)
         window_us = self.config.window_us
+        # at least the shift of the start that augmentation draws by default
         shift_us = max(window_us // 10, round(1e3 * Augmentation().start_ms))
         margin_us = round(LATEST * window_us) + shift_us
         recorded = self.training[order[~is_moved]].cut(window_us, margin_us)
         variation = epoch % self.settings.variations
-        moved = moved_recordings(self.files, variation, self.training.labels, self.config)
+        other_motion = moved_recordings(self.files, variation, self.training.labels, self.config)
         recording = np.zeros(len(order), np.int64)
         start_us = np.zeros(len(order), np.int64)
         recording[~is_moved] = recorded.recording
         start_us[~is_moved] = recorded.start_us
         # after the recorded windows, `Recordings` has all windows of the variation
         recording[is_moved] = len(recorded.recordings) + order[is_moved]
-        return Windows(recorded.recordings + moved, recording, start_us)
+        return Windows(recorded.recordings + other_motion, recording, start_us)
 
 
 def write_moved(
-    path: Path, moved: Sequence[Sequence[np.ndarray]], paths: Sequence[MotionPath], window_us: int
+    file: Path,
+    variations: Sequence[Sequence[np.ndarray]],
+    paths: Sequence[MotionPath],
+    window_us: int,
 ) -> None:
     """Write a file of windows under other motions.
 
     Parameters
     ----------
-    path : the file.
-    moved : for each variation the events of each window, with times from the window's start.
-    paths : how each window moved.
+    file : the file.
+    variations : for each variation the events of each window, with times from the window's start.
+    paths : how each window moved when it was recorded.
     window_us : length of a window.
     """
     # 32 bits are enough for the times of most files
-    times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
-    stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
+    time_type = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
+    stored_type = np.dtype([("t", time_type), *EVENT_DTYPE.descr[1:]])
     arrays = {
         "refused": np.array([path.refused for path in paths]),
         "spans": np.array([0 if path.refused else path.span for path in paths]),
         "positions": np.array([path.positions for path in paths]),
     }
-    for v, windows in enumerate(moved):
+    for v, windows in enumerate(variations):
         events = np.concatenate(windows)
         starts_us = window_us * np.arange(len(windows))
         events["t"] += np.repeat(starts_us, [len(window) for window in windows])
-        arrays[f"moved_{v}"] = events.astype(stored)
-    with replacing(path) as part, part.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+        arrays[f"moved_{v}"] = events.astype(stored_type)
+    with replacing(file) as part, part.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
 
 
 def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
@@ -150,7 +161,7 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
 
     Raises
     ------
-    ValueError : the file is damaged: the checksums of the archive differ.
+    ValueError : the file is damaged, or lacks an array.
     """
     try:
         with open_regular(path) as content, np.load(content) as file:
@@ -167,9 +178,9 @@ def moved_recordings(
     Parameters
     ----------
     files : the files, in the order of the windows.
-    variation : number of the motion.
-    labels : int64, of each window.
-    config : has the sensor and the length of a window.
+    variation : number of the motion, from 0 on.
+    labels : int64, the label of each window.
+    config : its sensor and the length of its windows are used.
 
     Raises
     ------
@@ -188,8 +199,8 @@ def moved_recordings(
         except (ValueError, TypeError) as error:
             raise damaged(path, error) from None
         t = columns[0][:n]
-        # Divide the events into windows. Then times count from each window's start, in `columns`,
-        # too: `t` is a view.
+        # Divide the events into windows, and let times count from each window's start. `t` is a
+        # view of `columns[0]`, which therefore changes, too.
         ends = np.searchsorted(t, config.window_us * np.arange(1, len(refused) + 1))
         t %= config.window_us
         for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
@@ -198,11 +209,11 @@ def moved_recordings(
     bounds = np.concatenate(offsets)
     if len(bounds) != len(labels) + 1:
         raise damaged(files[0].parent, f"{len(bounds) - 1} windows, expected {len(labels)}")
-    together = {name: np.concatenate(part) for name, part in parts.items()}
+    all_events = {name: np.concatenate(part) for name, part in parts.items()}
     names = tuple(str(i) for i in range(len(labels)))
-    return Recordings(**together, offsets=bounds, labels=labels, names=names)
+    return Recordings(**all_events, offsets=bounds, labels=labels, names=names)
 
 
-def damaged(path: Path, what: object) -> ValueError:
-    """The error to raise for a damaged file of other motions."""
-    return ValueError(f"{path}: damaged ({what}). Remove it and give the same command again")
+def damaged(path: Path, problem: object) -> ValueError:
+    """The error to raise for a damaged file of windows under other motions."""
+    return ValueError(f"{path}: damaged ({problem}). Remove it and give the same command again")

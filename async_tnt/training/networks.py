@@ -21,7 +21,7 @@ from async_tnt.base.messages import one_line
 from async_tnt.networks.torch.operations import HeatmapCentroid
 
 LARGE = 64
-"""The shorter side of a grid, in cells, above which `residual` halves its maps once more."""
+"""If the shorter side of a grid has more cells than this, `residual` has one more pooling."""
 Build = Callable[[int, tuple[int, int], int], nn.Module]
 """A function (channels of a volume, (width, height) of its grid, number of classes) -> network."""
 
@@ -93,7 +93,7 @@ def residual(
 
 
 def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Convolutions of each channel by itself, then 1x1 convolutions: few multiplications."""
+    """A network with few multiplications: convolutions of single channels, and 1x1 convolutions."""
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),
@@ -107,7 +107,7 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network that computes a map of logits: a channel for each class and a last one for nothing.
+    """A network that computes a map of logits: a channel for each class, and the last for nothing.
 
     The map has a place for every 4x4 cells of the grid. A place sees about 40x40 cells. The first
     layers have the most channels, because there an event changes few places.
@@ -131,7 +131,8 @@ NETWORKS: dict[str, tuple[Build, int]] = {
     "separable": (separable, 8),
     "map": (object_map, 8),
 }
-"""Name -> the function that builds the network, and the least side of a grid for it, in cells."""
+"""Name -> the function that builds the network, and the shortest side of a grid that it takes, in
+cells."""
 
 
 class Residual(nn.Module):
@@ -187,8 +188,8 @@ def landmark_network(channels: int) -> nn.Module:
         )
     )
     nn.init.zeros_(network.heatmap.weight)
-    made: nn.Module = network
-    return made
+    regressor: nn.Module = network
+    return regressor
 
 
 def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
@@ -214,7 +215,7 @@ def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: in
 
 
 def find_network(name: str) -> tuple[Build, int]:
-    """Find the function that builds a network, and the least side of a grid for it, in cells.
+    """Find the function that builds a network, and the shortest side of a grid that it takes.
 
     Parameters
     ----------
@@ -247,4 +248,4 @@ def find_network(name: str) -> tuple[Build, int]:
     build: Any = getattr(module, function, None)
     if not callable(build):
         raise ValueError(f"{name}: it has no function {function!r}")
-    return build, 1
+    return build, 1  # a user's own network may take any grid

@@ -36,8 +36,8 @@ class BatchLoss:
     Parameters
     ----------
     loss : the loss, to minimize.
-    n_right, n : `n_right` of `n` windows are classified right; of a map model, `n_right` of the `n`
-        places that have an object.
+    n_right, n : `n_right` of the `n` windows that show a class are classified right. For a map
+        model, `n_right` of the `n` places whose target is a class are classified right.
     """
 
     loss: torch.Tensor
@@ -77,65 +77,74 @@ class ClassOfWindows:
         target = self._targets(windows, draws).to(pipeline.scale.device)
         logits = pipeline(windows, draws)
         loss = F.cross_entropy(logits, target, label_smoothing=self._settings.label_smoothing)
-        of_a_class = np.ones(len(windows), bool) if draws is None else draws.nothing == SHOWN
+        shows_class = ~_shows_nothing(windows, draws)
         is_right = logits.detach().argmax(1).cpu().numpy() == windows.labels
-        return BatchLoss(loss, int(is_right[of_a_class].sum()), int(of_a_class.sum()))
+        return BatchLoss(loss, int(is_right[shows_class].sum()), int(shows_class.sum()))
 
     def _targets(self, windows: Windows, draws: Draws | None) -> torch.Tensor:
         """The probabilities, (N, n_classes), that the model should give.
 
         The class of a window has probability 1. A window that shows nothing has the same
         probability for all classes (Hendrycks, Mazeika, Dietterich 2019, arXiv:1812.04606), so that
-        no class is decided with confidence. With teachers, a window that shows a class has another
-        target: the mean of the probabilities above and of the teachers' for the same window.
+        no class is decided with confidence. With teachers, the target of a window that shows a
+        class is the mean of two: its target without teachers, and the teachers' mean probabilities
+        for the same window.
         """
+        shows_nothing = _shows_nothing(windows, draws)
         targets = np.eye(self._n_classes, dtype=np.float32)[windows.labels]
-        nothing = np.zeros(len(windows), bool)
-        if draws is not None:
-            nothing = draws.nothing != SHOWN
-        targets[nothing] = 1.0 / self._n_classes
+        targets[shows_nothing] = 1.0 / self._n_classes
         target = torch.from_numpy(targets)
         if not self._teachers:
             return target
-        answers = []
+        logits = []
         with torch.no_grad():
             for teacher in self._teachers:
-                seen = None if draws is None else on_pixels(draws, teacher.config)
-                answers.append(teacher(windows, seen))
-            told = torch.softmax(torch.stack(answers), 2).mean(0)
-        return torch.where(torch.from_numpy(nothing)[:, None], target, (target + told) / 2)
+                teacher_draws = None if draws is None else on_pixels(draws, teacher.config)
+                logits.append(teacher(windows, teacher_draws))
+            teacher_mean = torch.softmax(torch.stack(logits), 2).mean(0)
+        is_uniform = torch.from_numpy(shows_nothing)[:, None]
+        return torch.where(is_uniform, target, (target + teacher_mean) / 2)
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
         """Accuracy and loss on the held-out windows, for the history; empty if there are none."""
-        return self.of_windows(pipeline, self._validation)
+        return self.scores(pipeline, self._validation)
 
-    def of_windows(self, pipeline: Pipeline, windows: Windows) -> dict[str, float]:
+    def scores(self, pipeline: Pipeline, windows: Windows) -> dict[str, float]:
         """Accuracy and loss at the ends of windows, for the history; empty without windows.
 
-        With `TrainSettings.balance`, the loss is the mean of the classes' losses.
+        With `TrainSettings.balance`, the loss is the mean of the classes' mean losses.
         """
         if len(windows) == 0:
             return {}
         probabilities = class_probabilities(pipeline, windows)
         labels = windows.labels
-        losses = -np.log(probabilities[np.arange(len(labels)), labels] + 1e-12)
-        parts = [losses]
+        right_probabilities = probabilities[np.arange(len(labels)), labels]
+        losses = -np.log(right_probabilities + 1e-12)
+        groups = [losses]
         if self._settings.balance:
-            parts = [losses[labels == label] for label in np.unique(labels)]
+            groups = [losses[labels == label] for label in np.unique(labels)]
         return {
             "per_window": float((probabilities.argmax(1) == labels).mean()),
             "per_recording": share_right(confusion_by_recording(probabilities, windows)),
-            "validation_loss": float(np.mean([part.mean() for part in parts])),
+            "validation_loss": float(np.mean([group.mean() for group in groups])),
         }
 
 
+def _shows_nothing(windows: Windows, draws: Draws | None) -> np.ndarray:
+    """Whether each window shows no class: bool, (N,)."""
+    if draws is None:
+        return np.zeros(len(windows), bool)
+    shows_nothing: np.ndarray = draws.content != SHOWN
+    return shows_nothing
+
+
 REACH = 0.15
-"""Largest distance at which an answer of the right class counts as having found an object, as a
-share of a recording's shorter side."""
+"""Largest distance between an object and an answer that finds it, as a share of a recording's
+shorter side. The answer must be of the object's class."""
 N_SCENES = 400
 """Number of scenes in which a map model is scored, about."""
 SHARES = (0.3, 0.5)
-"""Shares of a window after which scenes are scored, besides at its end."""
+"""Moments at which scenes are scored besides a window's end, as shares of the window."""
 
 
 class SceneScores:
@@ -145,7 +154,8 @@ class SceneScores:
     ----------
     crops : how the recordings' events become volumes.
     model : a map model for scenes of these recordings. Its weights are not used.
-    windows : the objects of the scenes. At most as many are used as `N_SCENES` scenes hold.
+    windows : the objects of the scenes. About `N_SCENES` scenes are made of them, or fewer if there
+        are too few windows.
     """
 
     def __init__(self, crops: TNTConfig, model: Model, windows: Windows) -> None:
@@ -160,10 +170,10 @@ class SceneScores:
 
     def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
         """The scores of a map model when this share of each window has passed."""
-        rng = np.random.default_rng(1)
+        rng = np.random.default_rng(1)  # the same scenes at each call
         was_training = pipeline.training
         pipeline.eval()
-        n_classes = self._reader.shape[0] - 1
+        n_classes = self._reader.shape[0] - 1  # the last channel of a map is for nothing
         scores = ObjectScores(*np.zeros((3, n_classes), np.int64))
         for first in range(0, len(self._windows), BATCH):
             windows = self._windows[first : first + BATCH]
@@ -175,36 +185,38 @@ class SceneScores:
             for k, logits in enumerate(maps):
                 n = self._reader.read(logits, self._tracks, 0, False)
                 objects = self._reader.found[: max(0, n)]  # n < 0: a logit is not finite
-                inside = scenes.scene == k
+                is_in_scene = scenes.scene == k
                 scores += score_objects(
                     objects,
-                    scenes.label[inside],
-                    scenes.position[inside],
+                    scenes.label[is_in_scene],
+                    scenes.position[is_in_scene],
                     self._within_px,
                     n_classes,
                 )
         pipeline.train(was_training)
         return scores
 
-    def to_dict(self, pipeline: Pipeline) -> dict[str, Any]:
-        """The scores at the windows' ends and before, as plain values for JSON."""
-        whole = self.after(pipeline, 1.0)
+    def evaluate(self, pipeline: Pipeline) -> dict[str, Any]:
+        """Score a map model at the windows' ends and before. Returns plain values, for JSON."""
+        at_end = self.after(pipeline, 1.0)
         window_ms = self._maker.config.window_us / 1e3
-        early = {}
+        early_f1 = {}
         for share in SHARES:
-            early[f"{share * window_ms:g}"] = round(self.after(pipeline, share).f1, 5)
-        return {**whole.to_dict(self._classes), "f1_against_time_ms": early}
+            early_f1[f"{share * window_ms:g}"] = round(self.after(pipeline, share).f1, 5)
+        return {**at_end.to_dict(self._classes), "f1_against_time_ms": early_f1}
 
 
 LEFT_OUT = 0.2
 """Largest distance to an object at which a place of the map may be left out of the loss, as a share
 of a recording's shorter side.
 
-The target of a place depends on its distance to the nearest object. Up to `REACH`, the target is
-the object's class, and so it is at the place that is nearest to the object. Between `REACH` and
-`LEFT_OUT` the place has no target and weight 0. Beyond `LEFT_OUT` the target is nothing."""
-WEIGHT = 4.0
-"""Weight in the loss of a place whose target is a class. If the target is nothing, it is 1."""
+The target of a place depends on the distance from the place to the nearest object. Up to `REACH`,
+the target is the object's class. The place that is nearest to an object has the object's class at
+any distance. Between `REACH` and `LEFT_OUT`, the place has no target and weight 0. Beyond
+`LEFT_OUT`, the target is nothing."""
+OBJECT_WEIGHT = 4.0
+"""Weight in the loss of a place whose target is a class. A place whose target is nothing has weight
+1."""
 
 
 class ObjectsInScenes:
@@ -241,13 +253,14 @@ class ObjectsInScenes:
                 "network", f"{settings.network} must compute a map of {len(classes) + 1} channels"
             )
         self._places = model.places
-        self._map = model.logits_shape
+        self._map_shape = model.logits_shape
         self._shorter = min(config.sensor)
-        self._scores = SceneScores(config, model, validation) if len(validation) else None
+        self._scorer = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
         """The loss of scenes that are made of a batch of windows, augmented by `draws`."""
-        # the same windows and draws give the same scenes
+        # The seed depends on the windows or their draws, so that the same batch gives the same
+        # scenes.
         if draws is None:
             rng = np.random.default_rng(windows.recording.tolist())
             draws = unchanged(len(windows), self._maker.crops)
@@ -259,7 +272,7 @@ class ObjectsInScenes:
         target = torch.from_numpy(targets)
         weight = torch.from_numpy(weights).to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
-        nothing = self._map[0] - 1
+        nothing = self._map_shape[0] - 1  # the last channel
         is_object = target < nothing
         is_right = logits.detach().argmax(1).cpu() == target
         return BatchLoss(
@@ -271,30 +284,30 @@ class ObjectsInScenes:
     def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
         """Target and weight of each place of M maps, int64 and float32, (M, R, C).
 
-        See `LEFT_OUT` and `WEIGHT`.
+        M is the number of scenes. See `LEFT_OUT` and `OBJECT_WEIGHT`.
         """
-        n_channels, rows, columns = self._map
+        n_channels, rows, columns = self._map_shape
         nothing = n_channels - 1
         shape = len(scenes.volumes), rows, columns
         target = np.full(shape, nothing, np.int64)
         weight = np.ones(shape, np.float32)
-        nearest = np.full(shape, np.inf)
+        nearest = np.full(shape, np.inf)  # the distance from each place to the nearest object
         # place (row, column) of a map is at (x0 + dx column, y0 + dy row), in sensor pixels
         x0, dx, y0, dy = self._places
         for scene, label, (x, y) in zip(scenes.scene, scenes.label, scenes.position, strict=True):
-            across = np.abs(x0 + dx * np.arange(columns) - x)
-            down = np.abs(y0 + dy * np.arange(rows) - y)
-            away = np.maximum(down[:, None], across)  # (R, C)
+            distance_x = np.abs(x0 + dx * np.arange(columns) - x)
+            distance_y = np.abs(y0 + dy * np.arange(rows) - y)
+            distance = np.maximum(distance_y[:, None], distance_x)  # (R, C)
             # the nearest place gets the object's class at any distance
-            row, column = divmod(int(away.argmin()), columns)
-            away[row, column] = 0.0
-            is_nearest = away < nearest[scene]
-            nearest[scene][is_nearest] = away[is_nearest]
-            target[scene][is_nearest & (away <= REACH * self._shorter)] = label
+            row, column = divmod(int(distance.argmin()), columns)
+            distance[row, column] = 0.0
+            is_nearer = distance < nearest[scene]
+            nearest[scene][is_nearer] = distance[is_nearer]
+            target[scene][is_nearer & (distance <= REACH * self._shorter)] = label
         weight[nearest <= LEFT_OUT * self._shorter] = 0.0
-        weight[target < nothing] = WEIGHT
+        weight[target < nothing] = OBJECT_WEIGHT
         return target, weight
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
         """F1 in held-out scenes, for the history; empty if nothing is held out."""
-        return {} if self._scores is None else {"f1": self._scores.after(pipeline, 1.0).f1}
+        return {} if self._scorer is None else {"f1": self._scorer.after(pipeline, 1.0).f1}

@@ -7,8 +7,9 @@ pipeline into a model, and `pipeline_of` turns a model into a pipeline.
     every other landmark    events -> volume -> classifier
 
 With landmark `regressor`, the gradient of the loss reaches the regressor through the volume
-(`BatchVolumes.landmark_gradient`). Of each window it passes through two numbers only, the x and the
-y of the landmark. So the backward pass costs about as much as the computation of the volume.
+(`BatchVolumes.landmark_gradient`). For each window, the gradient passes through two numbers only,
+the x and the y of the landmark. So the backward pass costs about as much as the computation of the
+volume.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
 N_MEASURED = 512
-"""Most windows on which an input scale is measured. They are spread evenly over all windows."""
+"""Most windows on which an input scale is measured. These are spread evenly over all windows."""
 
 
 class Pipeline(nn.Module):
@@ -104,8 +105,8 @@ class Pipeline(nn.Module):
 
     def _on_device(self, volumes: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
         """Volumes times `scale`, on the device of `scale`."""
-        # The product is a new array, which the networks may keep: the kernels write the next batch
-        # into `volumes`. With channels last, the networks are a third faster.
+        # The kernels write the next batch into `volumes`. The product is a new array, which the
+        # networks may keep. With channels last, the networks are a third faster.
         return (volumes.to(scale.device) * scale).contiguous(memory_format=torch.channels_last)
 
 
@@ -164,7 +165,8 @@ def new_pipeline(
     windows : the windows that input scales are measured on.
     network : the classifier, see `build_network`.
     logarithm : whether the classifier takes log(1 + volume). Then the volume is not scaled.
-    grid : the grid of the classifier's input; by default that of `config`.
+    grid : the grid of the classifier's input; by default the grid of `config`. Scenes have a larger
+        grid.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed % (1 << 63))
@@ -187,7 +189,7 @@ def check_network(
     name : see `build_network`.
     config : configuration of the volumes that the network takes.
     n_classes : number of classes.
-    everywhere : whether the network is to compute a map.
+    everywhere : whether the network must compute a map.
 
     Raises
     ------
@@ -195,9 +197,11 @@ def check_network(
         batch, or computes a map although `everywhere` is False, or no map although it is True.
     """
     network = build_network(name, config.channels, config.grid, n_classes)
-    of_volumes = config.replace(landmark="center", remove_flow=False)
+    # The landmark does not matter here. Landmark `regressor` would need a second network, and
+    # `remove_flow` needs landmark `line`.
+    plain_config = config.replace(landmark="center", remove_flow=False)
     try:
-        model = Model.from_torch(network, of_volumes, [str(k) for k in range(n_classes)])
+        model = Model.from_torch(network, plain_config, [str(k) for k in range(n_classes)])
         network.train()(torch.zeros(2, *config.shape))
     except (NotImplementedError, RuntimeError) as error:
         raise ParameterValueError("network", f"{name}: {one_line(error)}") from None
@@ -230,15 +234,15 @@ def input_scale(config: TNTConfig, windows: Windows) -> float:
 
     The scale is one number for all bins. A scale for each bin would fit the event rate of the
     training motions over time. It would amplify bins with few events (31 times in N-MNIST's first
-    bin, after TNT), and be wrong for every other motion. With it, TNT does worse even on held-out
-    digits in the training motions.
+    bin, after TNT), and be wrong for every other motion. With a scale for each bin, TNT does worse
+    even on held-out digits in the training motions.
     """
     n = min(N_MEASURED, len(windows))
-    spread = np.linspace(0, len(windows) - 1, n).astype(np.int64)
-    measured = windows[np.unique(spread)]
+    indices = np.linspace(0, len(windows) - 1, n).astype(np.int64)
+    measured = windows[np.unique(indices)]
     volumes = BatchVolumes(config)
     mean_squares = []
-    for k in range(len(measured)):  # one after another: together the volumes may be large
+    for k in range(len(measured)):  # one after another, because all volumes together may be large
         volume = volumes(measured[k : k + 1])
         mean_squares.append(np.square(volume, dtype=np.float64).mean())
     return float(1.0 / np.sqrt(max(np.mean(mean_squares), 1e-12)))
@@ -270,10 +274,10 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
     for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
         if name not in network or scale == 1:
             continue
-        first = first_weights(network[name])
-        for tensor in first:
+        tensor_names = first_weights(network[name])
+        for tensor in tensor_names:
             weights[tensor] = weights[tensor] * scale.cpu().numpy()
-        if not first:  # the scale becomes a layer of its own, before the others
+        if not tensor_names:  # the scale becomes a layer of its own, before the others
             network[name], tensors = _scaled(
                 name, network[name], pipeline.config.channels, float(scale)
             )
@@ -288,11 +292,11 @@ def first_weights(layers: Sequence[Layer]) -> list[str]:
     uses the same weights.
     """
     readers = [layer for layer in layers if VOLUME in layer["inputs"]]
-    tensors = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
-    used = [name for layer in layers for name in layer.get("weights", {}).values()]
-    are_all_convolutions = len(tensors) == len(readers)
-    are_used_once = all(used.count(name) == 1 for name in tensors)
-    return tensors if are_all_convolutions and are_used_once else []
+    names = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
+    all_names = [name for layer in layers for name in layer.get("weights", {}).values()]
+    are_all_convolutions = len(names) == len(readers)
+    are_used_once = all(all_names.count(name) == 1 for name in names)
+    return names if are_all_convolutions and are_used_once else []
 
 
 def _scaled(
@@ -302,26 +306,35 @@ def _scaled(
 
     The new layer is a batch norm.
 
+    Parameters
+    ----------
+    name : name of the network, with which the names of the new tensors begin.
+    layers : the layers of the network.
+    channels : number of channels of the volume.
+    scale : the factor.
+
     Returns
     -------
     All layers, the new layer first, and the tensors of the new layer.
     """
     values = {"mean": 0.0, "variance": 1.0, "weight": scale}
-    roles = {role: f"{name}.scale.{role}" for role in values}
-    first = {
+    tensor_names = {role: f"{name}.scale.{role}" for role in values}
+    scaling = {
         "op": "batch_norm",
         "name": "scaled volume",
         "inputs": [VOLUME],
-        "weights": roles,
+        "weights": tensor_names,
         "epsilon": 0.0,
     }
-    others = []
+    rewired = []
     for layer in layers:
         # a layer that read the volume now reads the new layer's output
         inputs = ["scaled volume" if value == VOLUME else value for value in layer["inputs"]]
-        others.append({**layer, "inputs": inputs})
-    tensors = {roles[role]: np.full(channels, value, np.float32) for role, value in values.items()}
-    return [first, *others], tensors
+        rewired.append({**layer, "inputs": inputs})
+    tensors = {
+        tensor_names[role]: np.full(channels, value, np.float32) for role, value in values.items()
+    }
+    return [scaling, *rewired], tensors
 
 
 def pipeline_of(model: Model) -> Pipeline:
@@ -344,9 +357,9 @@ def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
         ):
             if network is None:
                 continue
-            first = first_weights(network.layers)
-            for name in first:
+            tensor_names = first_weights(network.layers)
+            for name in tensor_names:
                 network.tensors[name] /= scale
-            if not first:
+            if not tensor_names:  # the network keeps its own scale
                 scale.fill_(1.0)
     return pipeline

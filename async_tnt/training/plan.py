@@ -1,4 +1,4 @@
-"""What a user asks of a training, and what is known of it before the data set is read."""
+"""What a user asks of a training, and what can be checked before the data set is read."""
 
 from __future__ import annotations
 
@@ -44,18 +44,19 @@ class Plan:
     def check(self) -> None:
         """Refuse a network that does not fit the volume.
 
-        A user's own network may fit no volume but the data set's, which is not known yet. So only
-        its file and its function are looked for.
+        The volume of the data set is not known yet, and a user's own network may fit no other
+        volume. So only the file and the function of such a network are looked for.
 
         Raises
         ------
         ValueError : see `check_network` and `find_network`.
         """
+        # the number of windows is not known yet, and does not decide the network
         network = self._settings(self.volume.config, 1).network
         if ":" in network:
             find_network(network)
         else:
-            check_network(network, self._seen(self.volume.config), everywhere=self.everywhere)
+            check_network(network, self._input(self.volume.config), everywhere=self.everywhere)
 
     def check_run(self, run_folder: Path, sensor: Sensor | None) -> None:
         """Refuse a run folder whose run has another volume, network or seed.
@@ -80,7 +81,7 @@ class Plan:
         settings = self._settings(data.config, len(data.training))
         check_network(
             settings.network,
-            self._seen(data.config),
+            self._input(data.config),
             len(data.classes),
             everywhere=self.everywhere,
         )
@@ -91,7 +92,7 @@ class Plan:
         augmentation: dict[str, Any] = {"mirror": self.mirror}
         if self.has_pictures:
             augmentation |= OF_PICTURES
-        asked: dict[str, Any] = {} if self.network is None else {"network": self.network}
+        chosen: dict[str, Any] = {} if self.network is None else {"network": self.network}
         return settings_for(
             config,
             n_windows,
@@ -99,9 +100,9 @@ class Plan:
             seed=self.seed,
             everywhere=self.everywhere,
             augmentation=augmentation,
-            **asked,
+            **chosen,
         )
 
-    def _seen(self, config: TNTConfig) -> TNTConfig:
-        """The volume that the network takes: a recording's, or that of a scene of recordings."""
+    def _input(self, config: TNTConfig) -> TNTConfig:
+        """The volume that the network takes: that of a recording, or of a scene of recordings."""
         return SceneMaker(config).config if self.everywhere else config

@@ -56,7 +56,7 @@ class Recordings:
 
     @cached_property
     def middles(self) -> np.ndarray:
-        """The point (x, y) half way between each recording's outermost events: float64, (R, 2)."""
+        """The point (x, y) halfway between each recording's outermost events: float64, (R, 2)."""
         middles = np.zeros((len(self), 2))
         with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` takes no empty slice
         if not len(with_events):
@@ -113,8 +113,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
     Parameters
     ----------
     folder : the folder where the columns are written to files, 9 bytes an event. The files are
-        mapped into memory. They have no names, so they vanish when the program ends, however it
-        ends. None: the columns are in memory.
+        mapped into memory. They have no names. So they vanish when the program ends, even if it
+        crashes. None: the columns are in memory.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -179,7 +179,7 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._names += recordings.names
 
     def finish(self) -> Recordings:
-        """All recordings that were added. This is called once, after the last of them.
+        """All recordings that were added. Call this once, after the last recording.
 
         Mapped columns remain usable after the files are closed.
         """

@@ -1,12 +1,12 @@
-"""Make other motions of the windows to train on.
+"""Make windows under other motions, from the windows to train on and from the held-out windows.
 
-Several processes make the motions once. They are kept in files beside the run.
+Several processes make them once. They are kept in files beside the run.
 
     <folder>/motions.json          how they were made, and how well they match the recordings
     <folder>/training_000000.npz   windows from number 0 on under other motions, see `moved_windows`
     <folder>/held-out_000000.npz   held-out windows from number 0 on, each under one other motion
 
-A window whose path was not found is used as it was recorded.
+A training window whose path was not found is used as it was recorded.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ N_EXAMPLES = 5
 N_OTHERS = 4
 """Number of other motions that a figure shows of each window."""
 N_REFUSED = 2
-"""Number of windows without a path that a figure shows."""
+"""Number of reasons, each with a window without a path, that a figure shows."""
 
 
 def resynthesize(
@@ -94,7 +94,7 @@ def resynthesize(
     settings : how many motions are made.
     folder : the folder of the files; made if missing.
     masked : bool, (H, W): pixels whose events are left out, as they were left out of the
-        recordings; None: no pixel.
+        recordings; None: no pixel is left out.
     workers : number of processes.
     progress : makes the progress bar, which counts windows.
 
@@ -117,8 +117,8 @@ def resynthesize(
         **{name: value for name, value in asdict(settings).items() if name != "recorded"},
     }
     if manifest.exists():
-        there = _read_manifest(manifest)["made_from"]
-        differ = [name for name, value in made_from.items() if there.get(name) != value]
+        stored = _read_manifest(manifest)["made_from"]
+        differ = [name for name, value in made_from.items() if stored.get(name) != value]
         if differ:
             raise other_run(folder, f"motions ({', '.join(differ)})")
     chunks = _chunks("training", training, config, folder, settings.variations)
@@ -150,7 +150,7 @@ def resynthesize(
 
 
 def _calibrated(training: Windows, config: TNTConfig, seed: int) -> tuple[int, Calibration]:
-    """Choose the side of a cell, in pixels, and calibrate re-synthesis, on some windows."""
+    """Choose the side of a cell, in pixels, and calibrate re-synthesis. Both use some windows."""
     order = np.random.default_rng(seed).permutation(len(training))
     chosen = np.sort(order[:N_CALIBRATION])
     around_us = config.window_us * training.neighbours(config.window_us)
@@ -169,8 +169,8 @@ class _Chunk:
     part : one of `PARTS`.
     first : number of the first window in its part.
     windows : the windows, as recorded.
-    around_us : int64, (N, 2): the times before and after each window, in microseconds, from which
-        events may be used, too.
+    around_us : int64, (N, 2): the durations before and after each window, in microseconds, from
+        which events may be used, too.
     window_us : length of a window.
     variations : number of other motions of each window.
     file : the file that the moved windows are written to.
@@ -198,7 +198,7 @@ def _chunks(
 ) -> list[_Chunk]:
     """Divide the windows of a part into chunks, one for each file."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
-    # so many windows have about `MOST_EVENTS` events
+    # the number of windows that have about `MOST_EVENTS` events
     size = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
     around_us = config.window_us * windows.neighbours(config.window_us)
     chunks = []
@@ -228,7 +228,7 @@ def _move(
 ) -> int:
     """Find the paths and images of a chunk's windows, move the images, and write the chunk's file.
 
-    Returns how many windows the chunk has.
+    Returns the number of windows in the chunk.
     """
     windows = chunk.windows
     reconstruction = Reconstruction(config.sensor, config.window_us, cell)
@@ -236,7 +236,8 @@ def _move(
         windows.events(i, config.window_us, around_us)
         for i, around_us in enumerate(chunk.around_us)
     ]
-    moved: list[list[np.ndarray]] = [
+    # the events of each variation of each window; none if the window's path was not found
+    variations: list[list[np.ndarray]] = [
         [np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)
     ]
     paths = []
@@ -249,8 +250,8 @@ def _move(
             events, _ = image.moved(calibration.length, calibration.pixels, rng)
             if masked is not None:
                 events = events[~masked[events["y"], events["x"]]]
-            moved[v][i] = events
-    write_moved(chunk.file, moved, paths, config.window_us)
+            variations[v][i] = events
+    write_moved(chunk.file, variations, paths, config.window_us)
     return len(windows)
 
 
@@ -268,12 +269,12 @@ def _open(
     settings: MotionSettings,
 ) -> Motions:
     """Read the motions that a folder holds."""
-    content = _read_manifest(folder / MANIFEST)
+    manifest = _read_manifest(folder / MANIFEST)
     files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
     refused, spans, paths = _paths(files["training"])
     _, held_out_spans, _ = _paths(files["held-out"])
-    moving = np.flatnonzero(held_out_spans)
-    moved = moved_recordings(files["held-out"], 0, held_out.labels, config)
+    with_path = np.flatnonzero(held_out_spans)
+    held_out_recordings = moved_recordings(files["held-out"], 0, held_out.labels, config)
     record = {
         **asdict(settings),
         "windows": len(training),
@@ -281,10 +282,10 @@ def _open(
         "with_neighbours": int((spans > 1).sum()),
         "without_path": dict(Counter(refused[spans == 0].tolist()).most_common()),
         "held_out_windows": len(held_out),
-        "held_out_with_path": len(moving),
-        **{name: content[name] for name in ("cell", "length_px", "pixels", "match")},
+        "held_out_with_path": len(with_path),
+        **{name: manifest[name] for name in ("cell", "length_px", "pixels", "match")},
     }
-    validation = Windows(moved, moving, np.zeros(len(moving), np.int64))
+    validation = Windows(held_out_recordings, with_path, np.zeros(len(with_path), np.int64))
     return Motions(
         files["training"], training, refused, spans, paths, validation, config, settings, record
     )
@@ -292,6 +293,7 @@ def _open(
 
 def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
     """Read `refused`, `spans` and `positions` of all windows from files, see `moved_windows`."""
+    # an empty part first, because there may be no file
     parts = [(np.empty(0, "<U1"), np.empty(0, np.int64), np.empty((0, N_FRAMES, 2)))]
     for path in files:
         refused, spans, positions = read_arrays(path, "refused", "spans", "positions")
@@ -309,31 +311,31 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     names = ("made_from", "cell", "length_px", "pixels", "match")
     try:
         content = parse_json(read_regular(path))
-        wanted = {name: content[name] for name in names}
-        _check_made(wanted)
-        return {**wanted, "made_from": dict(wanted["made_from"])}
+        manifest = {name: content[name] for name in names}
+        _check_manifest(manifest)
+        return {**manifest, "made_from": dict(manifest["made_from"])}
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise damaged(path, one_line(error)) from None
 
 
-def _check_made(wanted: Mapping[str, Any]) -> None:
+def _check_manifest(manifest: Mapping[str, Any]) -> None:
     """Refuse a manifest with values of a wrong type, or outside of their range.
 
     Raises
     ------
     ValueError, LookupError, TypeError, AttributeError : a value is wrong or missing.
     """
-    whole_number("cell", wanted["cell"], 1, MAX_SIDE + 1)
-    if not 0 <= real_number("length_px", wanted["length_px"]) < math.inf:
+    whole_number("cell", manifest["cell"], 1, MAX_SIDE + 1)
+    if not 0 <= real_number("length_px", manifest["length_px"]) < math.inf:
         raise ValueError(
-            f"`length_px` must be finite and at least 0, got {short(wanted['length_px'])}"
+            f"`length_px` must be finite and at least 0, got {short(manifest['length_px'])}"
         )
-    pixels = wanted["pixels"]
+    pixels = manifest["pixels"]
     numbers = {name: real_number(name, value) for name, value in pixels["measured"].items()}
     simulated = SimulatedPixels(MeasuredPixels(**numbers), real_number("scale", pixels["scale"]))
     simulated.draw(np.random.default_rng(0))  # refuses pixels that no sensor has
-    recorded = wanted["match"]["recorded"]
-    resynthesized = wanted["match"]["resynthesized"]
+    recorded = manifest["match"]["recorded"]
+    resynthesized = manifest["match"]["resynthesized"]
     if recorded.keys() != resynthesized.keys():
         raise ValueError("`match` must have the same numbers of both")
     for name in recorded:
@@ -350,21 +352,23 @@ def examples(
     -------
     shown : windows of different classes, at most `N_EXAMPLES`, with their first variations. The
         variations are simulated again.
-    refused : a window for each of the most frequent reasons why a path was not found.
+    refused : for each of the most frequent reasons why a path was not found, a window.
     """
     training = motions.training
     window_us = motions.config.window_us
-    found = np.flatnonzero(motions.spans)
-    labels, firsts = np.unique(training.labels[found], return_index=True)
-    # of classes that are spread evenly over all, the first window with a path
+    with_path = np.flatnonzero(motions.spans)
+    labels, firsts = np.unique(training.labels[with_path], return_index=True)
+    # Choose classes that are spread evenly over all classes, and of each its first window with a
+    # path.
     spread = np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int)
-    chosen = found[firsts[np.unique(spread)]]
+    chosen = with_path[firsts[np.unique(spread)]]
     reconstruction = Reconstruction(motions.config.sensor, window_us, motions.record["cell"])
     around_us = window_us * training.neighbours(window_us)
     shown = [
         _example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in chosen
     ]
     refused = []
+    # the reasons are in the order of their frequency
     for reason in list(motions.record["without_path"])[:N_REFUSED]:
         i = int(np.flatnonzero(motions.refused == reason)[0])
         events = structured(training.events(i, window_us))
@@ -379,15 +383,16 @@ def _example(
     around_us: Sequence[int],
     classes: tuple[str, ...],
 ) -> ResynthesizedWindow:
-    """Window `i`, as recorded and in its first variations."""
+    """Window `i`, as recorded and under its first other motions."""
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
     columns = motions.training.events(i, motions.config.window_us, around_us)
-    found = MotionPath(motions.paths[i], span=int(motions.spans[i]))
-    image = reconstruction.image(columns, measured, found)
-    path = found.at(shares())
-    # the image's displacement at half time, since the path's start: (1, 2)
-    halfway = found.before + path[len(path) // 2 : len(path) // 2 + 1]
+    path = MotionPath(motions.paths[i], span=int(motions.spans[i]))
+    image = reconstruction.image(columns, measured, path)
+    displacement = path.at(shares())
+    # the image's displacement at about half time, since the path's start: (1, 2)
+    middle = len(displacement) // 2
+    halfway = path.window_start + displacement[middle : middle + 1]
     seed = motions.settings.seed
     other_paths = []
     other_events = []
@@ -401,6 +406,6 @@ def _example(
         structured(part_of(columns, motions.config.window_us)),
         image.picture.frames(halfway)[0],
         image.as_recorded(pixels, np.random.default_rng(seed)),
-        [path, *other_paths],
+        [displacement, *other_paths],
         other_events,
     )

@@ -31,7 +31,7 @@ RUN_FILES = (CHECKPOINT, HISTORY)
 FORMAT = 9
 """Version of the checkpoint."""
 CHUNK = 1 << 24
-"""Number of events that a checksum takes at once. Ctrl-C takes effect after them."""
+"""Number of events that a checksum takes at once. Ctrl-C takes effect only between two chunks."""
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
@@ -59,8 +59,9 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
 
     Parameters
     ----------
-    known : the description of the run to be started: all of `identity_of`, or as much of it as is
-        known before the data set is read.
+    run_folder : the folder of the checkpoint.
+    known : the description of the run to be started: what `identity_of` returns, or the part of it
+        that is known before the data set is read.
 
     Raises
     ------
@@ -82,7 +83,7 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
             state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
             written = state["identity"]["format"]
         except Exception as error:  # a damaged archive raises one of a dozen types of errors
-            # The error's text is not repeated, because torch advises to load the file unsafely.
+            # The error's text is left out, because in it torch advises to load the file unsafely.
             kind = type(error).__name__
             raise ValueError(
                 f"{path} is not a readable checkpoint ({kind}); remove it to start again"
@@ -91,8 +92,8 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
         raise ValueError(
             f"{path} was written by another release of async_tnt; remove it to start again"
         )
-    there = state["identity"]
-    differ = [name for name, value in _plain(known).items() if there.get(name) != value]
+    identity = state["identity"]
+    differ = [name for name, value in _plain(known).items() if identity.get(name) != value]
     if differ:
         raise other_run(run_folder, ", ".join(sorted(differ)))
     return state
@@ -121,7 +122,7 @@ def identity_of(
             "classes": data.classes,
             "motions": None if motions is None else asdict(motions),
             "network_file": zlib.crc32(read_regular(own_file)) if own_file else None,
-            "start": 0 if start is None else sha256_of(start),
+            "start": 0 if start is None else sha256_of(start),  # 0: random weights
             "teachers": [sha256_of(teacher) for teacher in teachers],
         }
     )
@@ -154,11 +155,11 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
     return checksum
 
 
-def other_run(folder: Path, what: str) -> ValueError:
-    """The error to raise for a folder whose content was made with another `what`."""
+def other_run(folder: Path, differences: str) -> ValueError:
+    """The error to raise for a folder whose content was made with other values of `differences`."""
     return ValueError(
-        f"{folder}: the folder holds a run with other {what}; remove it to start again, or train "
-        "into another file"
+        f"{folder}: the folder holds a run with other {differences}; remove it to start again, or "
+        "train into another file"
     )
 
 
@@ -186,7 +187,7 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         (right, "accuracy", accuracies),
     ):
         for name, label in labels.items():
-            if all(name in row for row in history):
+            if all(name in row for row in history):  # a map model has other measurements
                 axes.plot(epochs, [row[name] for row in history], marker=".", label=label)
         axes.set(xlabel="epoch", ylabel=quantity)
         axes.grid(alpha=0.3)

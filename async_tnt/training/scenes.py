@@ -1,11 +1,12 @@
 """Scenes to learn from and to be tested on: windows of several recordings on one large sensor.
 
-Without the transform a volume is a sum over events. So the volume of a scene is a sum, too: of the
-volumes of its recordings, each at its place, and of the volume of noise. A scene has:
+Without the transform a volume is a sum over events. So the volume of a scene is a sum, too. Its
+terms are the volumes of the scene's recordings, each at its place, and the volume of noise. A scene
+has:
 
-    objects   `OBJECTS` of them in the mean. The middle of each object is anywhere on the sensor, so
-              that some are cut off at its border. Half of the objects are placed beside another
-              object. Two objects are at least `APART` from each other
+    objects   On average a scene has `OBJECTS` objects. The middle of each object is anywhere on the
+              sensor, so that some objects are cut off at the sensor's border. Half of the objects
+              are placed beside another object. Two objects are at least `APART` from each other
     starts    half of the objects begin later than the scene, by up to half a window
     end       augmentation draws when the scene ends. All of its objects end then
     nothing   augmentation makes some windows show nothing. They are in the scene, but are no
@@ -34,7 +35,7 @@ from async_tnt.volume.events import EVENT_DTYPE
 SIDES = 3
 """Width and height of a scene, as multiples of a recording's width and height."""
 OBJECTS = 2.5
-"""Number of objects of a scene, in the mean."""
+"""Average number of objects in a scene."""
 FEWEST = 10
 """Fewest events of a recording that counts as an object."""
 APART = 0.4
@@ -101,8 +102,8 @@ class SceneMaker:
             sensor=(SIDES * width, SIDES * height), grid=(SIDES * columns, SIDES * rows)
         )
         self.crops = config
-        self._crops = BatchVolumes(config)
-        self._scenes = BatchVolumes(self.config)
+        self._crop_volumes = BatchVolumes(config)
+        self._scene_volumes = BatchVolumes(self.config)
         self._shorter = min(config.sensor)
 
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
@@ -112,7 +113,7 @@ class SceneMaker:
         # becomes a recording of its own, without these events.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
         windows = windows.cut(self.config.window_us)
-        scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
+        scene = rng.integers(max(1, round(n / OBJECTS)), size=n)  # each window's scene
         n_scenes = int(scene.max()) + 1
         # each scene ends when a window drawn at random would end
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
@@ -120,73 +121,76 @@ class SceneMaker:
         later_us = rng.integers(0, max(1, self.config.window_us // 2), n)
         later_us[~is_late] = 0
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
-        own = self._crops(windows, draws)
-        is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)
+        crops = self._crop_volumes(windows, draws)
+        # the absolute sum of a volume is about the number of its events
+        has_events = np.abs(crops).sum((1, 2, 3)) >= FEWEST
+        is_object = (draws.content == SHOWN) & has_events
 
         # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
         # `fine` times finer than the recording's.
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
-        recorded = _middles(windows, until_us[scene] - later_us)
-        middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded)
+        recorded_middles = _middles(windows, until_us[scene] - later_us)
+        middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded_middles)
         middles = (middles + draws.matrix[:, :, 2]) / fine
 
         volumes = self._noise(n_scenes, until_us, rng)
-        position = np.full((n, 2), np.inf)
+        position = np.full((n, 2), np.inf)  # inf: the window is not in a scene
         for i in range(n):
             taken = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
             place = self._place(taken, rng)
             if place is not None:
-                position[i] = self._add(volumes[scene[i]], own[i], middles[i], place)
+                position[i] = self._add(volumes[scene[i]], crops[i], middles[i], place)
         is_object &= np.isfinite(position[:, 0])
         return Scenes(volumes, scene[is_object], windows.labels[is_object], position[is_object])
 
-    def _place(self, there: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
+    def _place(self, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
         """A place for one more object, (x, y) in sensor pixels; None if `TRIES` places do not fit.
 
-        there : (K, 2), the places of the objects that are already in the scene.
+        taken : (K, 2), the places of the objects that are already in the scene.
         """
         end = np.array(self.config.sensor) - 1.0
-        is_beside = len(there) > 0 and rng.random() < BESIDE
+        is_beside = len(taken) > 0 and rng.random() < BESIDE
         for _ in range(TRIES):
             place = rng.uniform(0, end)
             if is_beside:
-                place = there[rng.integers(len(there))] + rng.uniform(-1, 1, 2) * self._shorter
+                place = taken[rng.integers(len(taken))] + rng.uniform(-1, 1, 2) * self._shorter
             is_on_sensor = (place >= 0).all() and (place <= end).all()
             if not is_on_sensor:
                 continue
-            away = np.hypot(*(there - place).T)
-            if (away >= APART * self._shorter).all():
+            distances = np.hypot(*(taken - place).T)
+            if (distances >= APART * self._shorter).all():
                 return place
         return None
 
     def _add(
-        self, volume: np.ndarray, own: np.ndarray, middle: np.ndarray, place: np.ndarray
+        self, volume: np.ndarray, crop: np.ndarray, middle: np.ndarray, place: np.ndarray
     ) -> np.ndarray:
-        """Add a recording's volume to a scene's, moved by whole cells.
+        """Add a recording's volume to a scene's volume, moved by whole cells.
 
         Parameters
         ----------
-        volume, own : the scene's volume, which is updated in place, and the recording's.
+        volume : the scene's volume. Updated in place.
+        crop : the recording's volume.
         middle : the middle of the object, (x, y) in pixels of the recording.
-        place : where the middle should be, (x, y) in pixels of the scene.
+        place : the wanted place of the middle, (x, y) in pixels of the scene.
 
         Returns
         -------
-        Where the middle is, (x, y) in pixels of the scene.
+        The place that the middle got, (x, y) in pixels of the scene.
         """
         scale = np.array(self.config.to_grid(1, 1))
         in_cells = middle * self.crops.to_grid(1, 1)
         left, top = np.rint(place * scale - in_cells).astype(int)
         _, height, width = volume.shape
-        _, rows, columns = own.shape
+        _, rows, columns = crop.shape
         y0 = max(0, top)
         y1 = min(height, top + rows)
         x0 = max(0, left)
         x1 = min(width, left + columns)
         if y0 < y1 and x0 < x1:
-            volume[:, y0:y1, x0:x1] += own[:, y0 - top : y1 - top, x0 - left : x1 - left]
-        found: np.ndarray = (in_cells + np.array([left, top])) / scale
-        return found
+            volume[:, y0:y1, x0:x1] += crop[:, y0 - top : y1 - top, x0 - left : x1 - left]
+        position: np.ndarray = (in_cells + np.array([left, top])) / scale
+        return position
 
     def _noise(self, n_scenes: int, until_us: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """The volumes of the scenes' noise, (M, C, H, W).
@@ -202,6 +206,7 @@ class SceneMaker:
             events = np.zeros(n + n_hot, EVENT_DTYPE)
             events["x"] = rng.integers(width, size=len(events))
             events["y"] = rng.integers(height, size=len(events))
+            # the last events are those of one hot pixel
             events["x"][n:] = rng.integers(width)
             events["y"][n:] = rng.integers(height)
             events["p"] = rng.integers(2, size=len(events))
@@ -209,18 +214,22 @@ class SceneMaker:
             recordings.append(events[np.argsort(events["t"], kind="stable")])
         noise = Recordings.from_events(recordings, [0] * n_scenes)
         windows = Windows(noise, np.arange(n_scenes), np.zeros(n_scenes, np.int64))
-        return self._scenes(windows).copy()
+        return self._scene_volumes(windows).copy()
 
 
 def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
     """The middle (x, y) of each window's object: float64, (N, 2); (0, 0) without any event.
 
+    Parameters
+    ----------
+    windows : N windows, each on a recording of its own, from `Windows.cut`.
     until_us : int64, (N,), in microseconds since a window's start. Only earlier events count.
     """
     middles = np.zeros((len(windows), 2))
-    for i, (first, end) in enumerate(itertools.pairwise(windows.recordings.offsets)):
-        last = first + np.searchsorted(windows.recordings.t[first:end], until_us[i])
+    recordings = windows.recordings
+    for i, (first, end) in enumerate(itertools.pairwise(recordings.offsets)):
+        last = first + np.searchsorted(recordings.t[first:end], until_us[i])
         if first < last:
-            x_and_y = windows.recordings.x[first:last], windows.recordings.y[first:last]
+            x_and_y = recordings.x[first:last], recordings.y[first:last]
             middles[i] = np.percentile(x_and_y, OUTER, axis=1).mean(axis=0)
     return middles

@@ -30,8 +30,8 @@ CHANGES = MappingProxyType(
 """Default values of `Augmentation` for a data set.
 
 Windows are shifted and scaled. Some end early or begin late, as in a stream, and some show nothing.
-Windows are not rotated, sheared or thinned: rotation by 10 degrees, shear by .1 and thinning by .3
-cost .01 of the accuracy on N-CARS' held-out recordings."""
+Windows are not rotated, sheared or thinned, because rotation by 10 degrees, shear by .1 and
+thinning by .3 cost .01 of the accuracy on N-CARS' held-out recordings."""
 EARLIEST = 0.05
 """The earliest end of a window that ends early, as a share of the complete window."""
 OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
@@ -51,8 +51,8 @@ RECIPE = MappingProxyType(
 )
 """Default values of `TrainSettings` for a data set."""
 EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
-"""Values of `TrainSettings` that differ from `RECIPE` for a map model. Classes are not balanced: in
-scenes, "nothing" is far more frequent than any class."""
+"""Values of `TrainSettings` that differ from `RECIPE` for a map model. Classes are not balanced,
+because in scenes "nothing" is far more frequent than any class anyway."""
 
 LONGER_SIDE = 120
 """Most cells along the longer side of a default grid."""
@@ -62,11 +62,12 @@ OFTEN = 2.25
 """Number of events of one polarity, per active pixel and window, from which on the default volume
 has time bins.
 
-Where pixels fire more often, counts may blur what moves. Counts instead of bins cost .1 of the
-accuracy on the made data set `sessions` of `experiments/RESULTS.md` (3.0 events), and nothing on
-N-MNIST (3.2). Where pixels fire less often, bins cost accuracy: .03 on N-CARS (1.7). Windows under
-other motions always have bins: with a fifth of N-MNIST's events, .922 of the digits in held-out
-motions are right with bins, and .897 with counts."""
+If pixels fire more often, counts may blur what moves. Counts instead of bins cost .1 of the
+accuracy on the simulated data set `sessions` of `experiments/RESULTS.md` (3.0 events), and nothing
+on N-MNIST (3.2 events). If pixels fire less often, bins cost accuracy: .03 on N-CARS (1.7 events).
+A training with windows under other motions always has bins, because they help there. With a fifth
+of N-MNIST's events, .922 of the digits in held-out motions are right with bins, and .897 with
+counts."""
 
 MIN_EPOCHS = 20
 """Least number of epochs by default."""
@@ -79,31 +80,32 @@ STEPS_AN_EPOCH = 50
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """How to train. Where the thesis states nothing, the choices are ours.
+    """How to train. The thesis states some of the values. The other values are our choice.
 
     Parameters
     ----------
     epochs : number of epochs. After each epoch a checkpoint is saved.
     iterations : number of optimizer steps, instead of `epochs`. The last epoch may be cut short.
         The thesis has 60,000 steps, with a batch of 64.
-    passes : how often an epoch goes through the training windows.
+    passes : number of times that an epoch goes through the training windows.
     batch : number of windows per step.
     learning_rate : the highest rate. It rises over the first steps, and falls along a cosine to 0.
     warm_up : the share of steps over which the rate rises.
     weight_decay : decay of AdamW. It acts on weights, not on biases.
     label_smoothing : share of the target that is spread over all classes.
-    averaging : above 0, the model has an exponential moving average of the weights of all steps.
-        Each step keeps this share of the average before it. 0: the model has the last weights.
+    averaging : if it is above 0, the model has an exponential moving average of the weights of all
+        steps. Each step keeps this share of the average before it. 0: the model has the last
+        weights.
     logarithm : whether the classifier takes log(1 + V) of each cell V of the volume. Not for signed
         volumes.
     seed : decides the weights, the order of windows and the augmentation.
     augmentation : changes of the windows; None trains on the windows as they are.
     precision : "float32", "bfloat16" or "auto". With "bfloat16", the networks multiply in 16 bits,
-        and keep their weights in 32. This takes half the time or less if the hardware is fast at it
-        (AMX, AVX512-BF16, GPUs), and is slower elsewhere. "auto" chooses "bfloat16" on fast
-        hardware.
-    balance : whether each epoch shows every class equally often, and the validation loss weights
-        classes equally. Otherwise windows count equally.
+        and keep their weights in 32 bits. This takes half the time or less on hardware that
+        multiplies fast in 16 bits (AMX, AVX512-BF16, GPUs), and more time on other hardware. "auto"
+        chooses "bfloat16" on fast hardware.
+    balance : whether each epoch shows every class equally often, and the validation loss gives all
+        classes the same weight. Otherwise all windows have the same weight.
     network : the classifier, see `training.networks.build_network`. Not used if a model is trained
         further.
     everywhere : whether a map model is trained, on scenes of several windows, see `scenes`. `batch`
@@ -155,7 +157,7 @@ class TrainSettings:
     def n_steps(self, n_windows: int) -> int:
         """The number of steps of an epoch of `n_windows` training windows.
 
-        A last batch of a single window is left out: batch norm needs two.
+        A last batch of a single window is left out, because batch norm needs two.
         """
         n_full, n_rest = divmod(self.passes * n_windows, self.batch)
         return max(1, n_full + (n_rest > 1))
@@ -181,7 +183,11 @@ def default_config(**changes: Any) -> TNTConfig:
 def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
     """The volume with time bins if pixels fire at least `OFTEN` times; otherwise `config` itself.
 
-    events_a_pixel : events of one polarity that an active pixel has in a window.
+    Parameters
+    ----------
+    config : the volume, with counts instead of bins.
+    events_a_pixel : number of events of one polarity that an active pixel has in a window. By
+        default, pixels fire often enough.
 
     Examples
     --------
@@ -218,8 +224,8 @@ def settings_for(
     ----------
     config : how events become volumes.
     n_windows : number of windows to train on.
-    epochs : number of epochs. None: at least `MIN_EPOCHS`, and so many that there are at least
-        `MIN_STEPS` steps. Then the training may end early (`ends_early`).
+    epochs : number of epochs. None: the least number that is at least `MIN_EPOCHS` and has at least
+        `MIN_STEPS` steps. In this case the training may end early (`ends_early`).
     settings : fields of `TrainSettings` with other values than the defaults. `augmentation` may be
         a mapping: the fields of `Augmentation` with other values than the defaults.
     """

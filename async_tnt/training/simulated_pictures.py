@@ -49,19 +49,19 @@ FORMAT = 4
 """Version of the recordings. It grows by 1 with each change of what is simulated."""
 
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
-"""Number of recordings of all pictures together, for a sensor of `FULL_PIXELS` or less that stands
-still. Other sensors take longer to simulate: larger ones, and those that follow the object. They
-have fewer recordings."""
+"""Number of recordings of all pictures together, for a sensor that stands still and has at most
+`FULL_PIXELS`. A larger sensor, or one that follows the object, takes longer to simulate. So it has
+fewer recordings."""
 LEAST_TAKES = {"training": 2, "held-out": 1}
 """Least number of recordings of each picture."""
 MOST_TAKES = 200
 """Largest number of recordings of each picture."""
 FULL_PIXELS = 128 * 128
-"""Most pixels of a sensor that has all of `RECORDINGS`. A larger sensor has fewer recordings, in
-inverse proportion to its number of pixels."""
+"""Most pixels of a sensor that has all of `RECORDINGS`. The number of recordings of a larger sensor
+is in inverse proportion to its number of pixels."""
 FOLLOWED = 6
-"""Factor by which a simulation takes longer if the sensor follows the object, in the mean. The
-pixels of such a sensor count this many times."""
+"""Average factor by which a simulation takes longer if the sensor follows the object. Each pixel of
+such a sensor counts this many times."""
 LEAST_SHARE = 0.1
 """Least share of `RECORDINGS` that a sensor has, however large it is."""
 CHUNK = 200
@@ -106,21 +106,21 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
     ValueError, OSError : as `find_recordings`; a class has pictures, and the folder has sessions.
     """
     recordings = find_recordings(folder, "Train")
-    found = {}
+    pictures_of_class = {}
     for class_folder in class_folders(folder):
         pictures = [path for path in sorted(class_folder.glob("[!.]*")) if _is_picture(path)]
         if pictures:
-            found[class_folder.name] = pictures
+            pictures_of_class[class_folder.name] = pictures
 
     sessions = []
-    for of_class in recordings.values():
-        sessions += [part.path.name for part in of_class if part.between_us]
+    for parts in recordings.values():
+        sessions += [part.path.name for part in parts if part.between_us]
     if not sessions:
-        return found
-    # Beside sessions, a folder that has not the name of a class may hold figures. It is ignored.
-    in_both = recordings.keys() & found
+        return pictures_of_class
+    # In a folder of sessions, a folder without the name of a class may hold figures. It is ignored.
+    in_both = recordings.keys() & pictures_of_class
     if in_both:
-        picture = found[min(in_both)][0].relative_to(folder)
+        picture = pictures_of_class[min(in_both)][0].relative_to(folder)
         raise ValueError(
             f"{folder}: expected pictures or sessions, got both: {picture} and {sessions[0]}"
         )
@@ -133,18 +133,21 @@ def _is_picture(path: Path) -> bool:
 
 
 def check_pictures(
-    found: Mapping[str, Sequence[Path]],
+    pictures_of_class: Mapping[str, Sequence[Path]],
     classes: Sequence[str],
-    others: np.ndarray,
+    recording_labels: np.ndarray,
     progress: Callable[..., Bar] = Bar,
 ) -> tuple[list[LabelledPicture], list[str]]:
-    """The pictures that can be read, and why the others are left out, one line each.
+    """The pictures that can be read, and why the other pictures are left out, one line each.
+
+    Of two copies of a picture, the second one is left out.
 
     Parameters
     ----------
-    found : class name -> its pictures.
+    pictures_of_class : class name -> the picture files of this class.
     classes : names, in the order of the labels.
-    others : labels of the recordings that the data set has beside pictures.
+    recording_labels : labels of the recordings that the data set has, too.
+    progress : makes the progress bar, which counts pictures.
 
     Raises
     ------
@@ -153,7 +156,7 @@ def check_pictures(
     """
     pictures = []
     for label, name in enumerate(classes):
-        pictures += [LabelledPicture(path, label) for path in found.get(name, [])]
+        pictures += [LabelledPicture(path, label) for path in pictures_of_class.get(name, [])]
     good: list[LabelledPicture] = []
     left_out: list[str] = []
     if not pictures:
@@ -170,22 +173,23 @@ def check_pictures(
                 continue
             finally:
                 bar.update()
-            same = known.setdefault(digest, picture)
-            if same.label != picture.label:
+            first = known.setdefault(digest, picture)
+            if first.label != picture.label:
                 raise ValueError(
-                    f"{same.name} and {picture.name} are the same picture in two classes; remove "
+                    f"{first.name} and {picture.name} are the same picture in two classes; remove "
                     "one"
                 )
-            if same is picture:
+            if first is picture:  # this picture has not been read before
                 good.append(picture)
             else:
-                left_out.append(f"{picture.name}: the same picture as {same.name}.")
-    _check_left(found, classes, {*others.tolist(), *(one.label for one in good)}, left_out)
+                left_out.append(f"{picture.name}: the same picture as {first.name}.")
+    labels = {*recording_labels.tolist(), *(picture.label for picture in good)}
+    _check_no_class_empty(pictures_of_class, classes, labels, left_out)
     return good, left_out
 
 
-def _check_left(
-    found: Mapping[str, Sequence[Path]],
+def _check_no_class_empty(
+    pictures_of_class: Mapping[str, Sequence[Path]],
     classes: Sequence[str],
     labels: set[int],
     left_out: Sequence[str],
@@ -194,7 +198,9 @@ def _check_left(
 
     labels : the labels of the classes that have recordings, or pictures that can be read.
     """
-    empty = [name for k, name in enumerate(classes) if name in found and k not in labels]
+    empty = [
+        name for k, name in enumerate(classes) if name in pictures_of_class and k not in labels
+    ]
     if not empty:
         return
     reasons = [line for line in left_out if line.startswith(f"{empty[0]}/")]
@@ -230,19 +236,20 @@ def with_pictures(
     what the model's record says of the pictures.
     """
     n_real = len(recordings)
-    which = [indices[indices < n_real] for indices in split]
-    about: dict[str, Any] = {"pictures": len(pictures)}
+    # the indices to learn from, and those that are held out; without pictures so far
+    sides = [indices[indices < n_real] for indices in split]
+    record: dict[str, Any] = {"pictures": len(pictures)}
     with RecordingsWriter(work.store) as writer, TemporaryDirectory() as temporary:
         folder = (work.store or Path(temporary)) / "pictures"
         writer.extend(recordings)
         # the recordings of pictures follow: first those to learn from, then those held out
         first = n_real
         for k, part in enumerate(RECORDINGS):
-            of_part = [pictures[i - n_real] for i in split[k] if i >= n_real]
-            takes = simulate_pictures(
+            part_pictures = [pictures[i - n_real] for i in split[k] if i >= n_real]
+            n_takes = simulate_pictures(
                 writer,
                 part,
-                of_part,
+                part_pictures,
                 settings,
                 folder,
                 seed=seed,
@@ -250,14 +257,14 @@ def with_pictures(
                 progress=work.progress,
             )
             if part == "training":
-                about["takes"] = takes
+                record["takes"] = n_takes
             else:
-                about["held_out"] = len(of_part)
-            n = takes * len(of_part)
-            which[k] = np.concatenate([which[k], first + np.arange(n)])
-            first += n
-        about["settings"] = asdict(settings)
-        return writer.finish(), which[0], which[1], about
+                record["held_out"] = len(part_pictures)
+            n_recordings = n_takes * len(part_pictures)
+            sides[k] = np.concatenate([sides[k], first + np.arange(n_recordings)])
+            first += n_recordings
+        record["settings"] = asdict(settings)
+        return writer.finish(), sides[0], sides[1], record
 
 
 def simulate_pictures(
@@ -289,7 +296,7 @@ def simulate_pictures(
 
     Returns
     -------
-    How often each picture is recorded.
+    The number of recordings of each picture.
 
     Raises
     ------
@@ -297,19 +304,20 @@ def simulate_pictures(
     """
     share = _share_of_recordings(settings)
     wanted = round(share * RECORDINGS[part] / max(1, len(pictures)))
-    takes = int(np.clip(wanted, LEAST_TAKES[part], MOST_TAKES))
+    n_takes = int(np.clip(wanted, LEAST_TAKES[part], MOST_TAKES))
     folder.mkdir(parents=True, exist_ok=True)
     made_from = {
         "format": FORMAT,
         "settings": asdict(settings),
         "seed": seed,
-        f"{part} pictures": [len(pictures), takes, _checksum(pictures)],
+        f"{part} pictures": [len(pictures), n_takes, _checksum(pictures)],
     }
+    # compared as it comes back from a file, with lists instead of tuples
     _check_manifest(folder / MANIFEST, json.loads(json.dumps(made_from)))
 
-    chunks = _chunks(part, pictures, takes, folder, round(share * CHUNK))
+    chunks = _chunks(part, pictures, n_takes, folder, round(share * CHUNK))
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
-    n_all = takes * len(pictures)
+    n_all = n_takes * len(pictures)
     n_missing = sum(len(chunk.takes) for chunk in missing)
     job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
     bar = progress(n_all, "simulating pictures", done=n_all - n_missing)
@@ -317,14 +325,14 @@ def simulate_pictures(
     for chunk in chunks:
         for events, (picture, _, take) in zip(_read(chunk), chunk.takes, strict=True):
             writer.add(events, picture.label, f"{picture.name}, take {take + 1}")
-    return takes
+    return n_takes
 
 
 def _share_of_recordings(settings: SceneSettings) -> float:
     """The share of `RECORDINGS` that a sensor has; see `FULL_PIXELS`."""
     width, height = settings.sensor
-    pixels = width * height * (FOLLOWED if settings.follow else 1)
-    return float(np.clip(FULL_PIXELS / pixels, LEAST_SHARE, 1))
+    n_pixels = width * height * (FOLLOWED if settings.follow else 1)
+    return float(np.clip(FULL_PIXELS / n_pixels, LEAST_SHARE, 1))
 
 
 def _checksum(pictures: Sequence[LabelledPicture]) -> int:
@@ -337,15 +345,15 @@ def _checksum(pictures: Sequence[LabelledPicture]) -> int:
 
 
 def _chunks(
-    part: str, pictures: Sequence[LabelledPicture], takes: int, folder: Path, size: int
+    part: str, pictures: Sequence[LabelledPicture], n_takes: int, folder: Path, size: int
 ) -> list[_Chunk]:
-    """The tasks that make `takes` recordings of each picture, `size` recordings in a file."""
-    recordings = []
+    """The tasks that make `n_takes` recordings of each picture, `size` recordings in a file."""
+    takes = []
     for i, picture in enumerate(pictures):
-        recordings += [(picture, i, take) for take in range(takes)]
+        takes += [(picture, i, take) for take in range(n_takes)]
     return [
-        _Chunk(folder / f"{part}_{first:06}.npz", recordings[first : first + size])
-        for first in range(0, len(recordings), size)
+        _Chunk(folder / f"{part}_{first:06}.npz", takes[first : first + size])
+        for first in range(0, len(takes), size)
     ]
 
 
@@ -365,7 +373,7 @@ class _Chunk:
 
 
 def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) -> int:
-    """Simulate the recordings of a chunk, and write its file. Returns how many there are."""
+    """Simulate the recordings of a chunk, and write its file. Returns their number."""
     recordings = []
     for _, group in groupby(chunk.takes, key=itemgetter(1)):
         takes = list(group)
@@ -400,7 +408,7 @@ def _read(chunk: _Chunk) -> list[np.ndarray]:
 
 
 def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
-    """Refuse a folder of other pictures. Write what its recordings are made of into the manifest.
+    """Refuse a folder of other pictures. Write into its manifest what its recordings are made of.
 
     Parameters
     ----------
@@ -408,31 +416,32 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
     made_from : what the recordings are made of.
     """
     folder = path.parent
-    there: dict[str, Any] = {}
+    stored: dict[str, Any] = {}
     if not path.exists() and any(folder.glob("*.npz")):
         raise ValueError(
             f"{folder}: recordings of pictures without their {path.name}; remove this folder"
         )
     if path.exists():
         try:
-            there = dict(parse_json(read_regular(path)))
+            stored = dict(parse_json(read_regular(path)))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}: damaged ({one_line(error)}); remove {folder}") from None
-    differ = [name for name, value in made_from.items() if there.get(name, value) != value]
+    # each part of the data set, training and held-out, adds its own entries
+    differ = [name for name, value in made_from.items() if stored.get(name, value) != value]
     if differ:
         raise other_run(folder, f"pictures ({', '.join(differ)})")
-    write_text(path, json.dumps({**there, **made_from}, indent=1) + "\n")
+    write_text(path, json.dumps({**stored, **made_from}, indent=1) + "\n")
 
 
 def example_recordings(
-    found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
+    pictures_of_class: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
 ) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """Examples for a figure: the name of a class, and luminance and recordings of a picture of it.
+    """Examples for a figure: a class, and the luminance and the recordings of one of its pictures.
 
     The picture is the first one of the class that can be read.
     """
-    shown = []
-    for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
+    examples = []
+    for row, (name, paths) in enumerate(list(pictures_of_class.items())[:N_EXAMPLES]):
         for path in paths:
             with contextlib.suppress(ValueError, OSError):
                 picture = read_picture(path)
@@ -440,15 +449,15 @@ def example_recordings(
                     record_picture(picture, settings, np.random.default_rng((seed, row, k)))
                     for k in range(N_TAKES)
                 ]
-                shown.append((name, picture.light, takes))
+                examples.append((name, picture.light, takes))
                 break
-    return shown
+    return examples
 
 
 def measure_camera(
     path: Path, window_us: int, sensor: tuple[int, int], **reading: Any
 ) -> MeasuredPixels:
-    """Measure the pixels of a camera, as far as a recording tells.
+    """Measure the pixels of a camera on a recording.
 
     Parameters
     ----------
@@ -469,7 +478,7 @@ def measure_camera(
     events = events[np.argsort(events["t"], kind="stable")]
     t, x, y, p = [np.ascontiguousarray(events[name]) for name in "txyp"]
     gaps = np.diff(t, prepend=t[:1])
-    # Remove pauses of the camera from the times. Otherwise they would count as a quiet scene.
+    # Remove the camera's pauses from the times. Otherwise a pause would count as a quiet scene.
     t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))
     if not len(t) or t[-1] - t[0] <= window_us:
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")

@@ -8,8 +8,9 @@ Calibration changes no decision, only its probability. The weights of the last l
 T, so a calibrated model is like any other model.
 
 If there are only a few windows and all are right, the likelihood is highest at T = 0, which means
-certainty. So the loss counts one imagined decision more for each class, in which this class is the
-truth (the rule of succession, as in Platt's scaling).
+certainty. So for each window and each class, the loss also counts an imagined decision with the
+same probabilities, in which this class is the truth. All imagined decisions for a class together
+weigh as much as one window (the rule of succession, as in Platt's scaling).
 
 References: Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599; Platt 1999, Probabilistic outputs
 for support vector machines.
@@ -52,16 +53,18 @@ def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
     """
     n, n_classes = probabilities.shape
     z = np.log(np.maximum(probabilities, np.finfo(np.float64).tiny))
-    of_truth = (n * z[np.arange(n), labels] + z.sum(1)) / (n + n_classes)
+    # the logit of the truth, in the mean over the window's decision and the imagined decisions
+    z_truth = (n * z[np.arange(n), labels] + z.sum(1)) / (n + n_classes)
 
     def slope(beta: float) -> float:
         """The slope of the loss in beta = 1 / T: the mean of E_p[z] - z_truth.
 
-        The loss is convex in beta.
+        p is softmax(beta z). The loss is convex in beta, so its slope grows with beta.
         """
-        p = np.exp(beta * (z - z.max(1, keepdims=True)))
-        return float(((p * z).sum(1) / p.sum(1) - of_truth).mean())
+        weights = np.exp(beta * (z - z.max(1, keepdims=True)))  # p without its denominator
+        return float(((weights * z).sum(1) / weights.sum(1) - z_truth).mean())
 
+    # halve the range of log(beta) in which the slope is 0
     low = np.log(1 / MOST)
     high = np.log(1 / LEAST)
     for _ in range(HALVINGS):
@@ -89,14 +92,14 @@ def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
 def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
     """The model with its logits divided by `temperature`, and the temperature that was applied.
 
-    A network stays as it is, with temperature 1, if its last layer is neither dense nor a
+    A model stays as it is, with temperature 1, if its last layer is neither dense nor a
     convolution, or if another layer has the same weights.
     """
-    *others, last = model.network[CLASSIFIER]
-    in_others = {name for layer in others for name in layer.get("weights", {}).values()}
+    *earlier_layers, last = model.network[CLASSIFIER]
+    earlier_names = {name for layer in earlier_layers for name in layer.get("weights", {}).values()}
     if last["op"] not in ("dense", "conv"):
         return model, 1.0
-    if in_others & {*last["weights"].values()}:
+    if earlier_names & {*last["weights"].values()}:
         return model, 1.0
     scaled = {
         name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()

@@ -21,13 +21,14 @@ class TrainingData:
     config : how events become volumes, with the sensor of the events.
     classes : names, one for each label from 0 on.
     training : windows to learn from.
-    validation : windows that are held out; may be empty. They decide the temperature, and with
-        `TrainSettings.ends_early` the last epoch. They decide nothing else.
+    validation : windows that are held out; may be empty. They decide the temperature. With
+        `TrainSettings.ends_early` they also decide which epoch is the last. They decide nothing
+        else.
     record : a description of the recordings, for the model's record.
-    tests : name of an entry of the model's record -> windows to test on, and further values of this
-        entry.
+    tests : name of an entry of the model's record -> the windows to test on, and the values that
+        this entry has beside their scores.
     held_out : names of the recordings to validate on.
-    masked : bool, (H, W): pixels of the sensor whose events were left out; None: no pixel.
+    masked : bool, (H, W): pixels of the sensor whose events were left out; None: no such pixel.
     left_out : the recordings that were left out and why, one line each.
     notes : what else a user should know, one line each.
     """

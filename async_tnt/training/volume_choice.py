@@ -1,4 +1,4 @@
-"""The volume that a user asks for, and the fields of it that the data set decides."""
+"""The volume that a user asks for, and which of its fields the data set decides."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class VolumeChoice:
 
     Parameters
     ----------
-    config : the volume as far as it is chosen. The sensor of the events replaces its sensor.
+    config : the chosen volume. The data set replaces its sensor and the fields `fitted`.
     fitted : the fields that the data set decides. "grid": the default grid of the sensor, see
         `default_grid`. "window_us": if no recording is as long as a window, windows become as long
         as the longest recording. "bins": time bins if pixels fire often, see `with_bins`.
@@ -74,10 +74,11 @@ class VolumeChoice:
 
         sensor : (width, height) of the events; None: it is not known yet.
         """
-        later = {"sensor", *self.fitted}
+        open_fields = {"sensor", *self.fitted}
         if "bins" in self.fitted:
-            later.add("representation")
-        known = {name: value for name, value in self.config.to_dict().items() if name not in later}
+            open_fields.add("representation")
+        fields = self.config.to_dict()
+        known = {name: value for name, value in fields.items() if name not in open_fields}
         return known if sensor is None else {**known, "sensor": sensor}
 
     def for_recordings(self, sensor: Sensor, longest_us: int | None) -> TNTConfig:

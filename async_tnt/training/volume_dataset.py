@@ -1,4 +1,4 @@
-"""A torch data set (map-style) of volumes: those of the windows of a folder of recordings."""
+"""A map-style torch data set: the volumes of all windows of a folder of recordings."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """A torch data set. Item i is the volume of window i, and the index of the window's class.
 
     A volume is float32, shape (C, H, W). It is computed when its item is asked for, from events in
-    memory. It is bit for bit the volume of a stream of the recording's events, in order of time. A
-    UserWarning tells how many recordings cannot be read and are left out.
+    memory. It is bit for bit the volume that a stream of the recording's events gives, in order of
+    time. A UserWarning tells how many recordings are left out.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     config : how events become volumes. It must have neither landmark `regressor` nor
         `window_events`.
     part : "Train", which may be the folder itself, or "Test".
-    classes : names, by index; by default those of this part, sorted. For "Test" give the classes of
-        "Train".
+    classes : names, by index; by default the classes of this part, sorted. For "Test", give the
+        classes of "Train".
 
     Attributes
     ----------
     classes : names, by index.
-    windows : all windows, end to end from each recording's first event on.
+    windows : all windows with events. They lie end to end, from each recording's first event on.
     left_out : the recordings that are left out, with the reasons.
 
     Raises
@@ -88,6 +88,6 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
             raise IndexError(
                 f"`index` must be below {len(self)}, the number of windows, got {index}"
             )
-        # from the last window, -1, the slice goes on to the end (None), not to 0
+        # For the last window, -1, the slice must end at None: with the end 0 it would be empty.
         window = self.windows[index : index + 1 or None]
         return torch.from_numpy(self._volumes(window)[0].copy()), int(window.labels[0])

@@ -1,8 +1,8 @@
 """Windows on labelled recordings.
 
 A window has no copy of its events. It has the number of a recording, and a start. So augmentation
-can move the start of a window into its neighbour. Training needs this, because the windows of a
-live stream start anywhere: at the stream's first event.
+can move the start of a window into a neighbouring window. Training needs this, because the first
+window of a live stream starts at the stream's first event, which may be at any time of a motion.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from async_tnt.training.recordings import COLUMNS, Recordings
 
 JUDGED = 500
-"""Most windows of which `Windows.events_a_pixel` counts events."""
+"""Most windows whose events `Windows.events_a_pixel` counts."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Windows:
         ----------
         i : number of the window.
         window_us : length of the window.
-        around_us : the times before and after the window from which events are returned, too.
+        around_us : the durations before and after the window from which events are returned, too.
         """
         before_us, after_us = around_us
         part = self._slice(i, -before_us, window_us + after_us)
@@ -65,18 +65,18 @@ class Windows:
         return t, recordings.x[part], recordings.y[part], recordings.p[part]
 
     def neighbours(self, window_us: int) -> np.ndarray:
-        """Whether each window's neighbours, before and after it, are among these N windows.
+        """Whether the windows before and after each window are among these N windows.
 
         int64, shape (N, 2), 0 or 1.
         """
         starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
-        known = set(starts)
-        beside = []
+        all_starts = set(starts)
+        has_neighbours = []
         for recording, start_us in starts:
             before = recording, start_us - window_us
             after = recording, start_us + window_us
-            beside.append((before in known, after in known))
-        return np.array(beside, np.int64).reshape(-1, 2)
+            has_neighbours.append((before in all_starts, after in all_starts))
+        return np.array(has_neighbours, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:
         """The number of events of one polarity that an active pixel has in a window of `window_us`.
@@ -85,14 +85,14 @@ class Windows:
         windows. An edge that passes a pixel once leaves one or two events; an edge that passes it
         again and again leaves more.
         """
-        shares = []
+        means = []
         for i in np.linspace(0, len(self) - 1, min(JUDGED, len(self))).astype(int):
             _, x, y, p = self.events(i, window_us)
             if len(x):
                 # one number for each pixel and polarity
                 pixels = (y.astype(np.int64) << 17) | (x.astype(np.int64) << 1) | (p > 0)
-                shares.append(len(x) / len(np.unique(pixels)))
-        return float(np.median(shares)) if shares else 0.0
+                means.append(len(x) / len(np.unique(pixels)))
+        return float(np.median(means)) if means else 0.0
 
     def cut(self, window_us: int, margin_us: int = 0) -> Windows:
         """The same windows of `window_us`, each on a recording of its own.
@@ -119,13 +119,13 @@ class Windows:
         r = self.recording[i]
         t = self.recordings.t
         first = int(self.recordings.offsets[r])
-        last = int(self.recordings.offsets[r + 1])
+        end = int(self.recordings.offsets[r + 1])
         # With bounds of another type than t, `searchsorted` would copy t. But a bound may be one
         # more than this type holds. So the search is for the last microsecond before each bound.
         limits = np.iinfo(t.dtype)
-        last_us = self.start_us[i] + np.array([from_us, until_us]) - 1
-        last_us = np.clip(last_us, limits.min, limits.max).astype(t.dtype)
-        start, stop = first + np.searchsorted(t[first:last], last_us, side="right")
+        before_us = self.start_us[i] + np.array([from_us, until_us]) - 1
+        before_us = np.clip(before_us, limits.min, limits.max).astype(t.dtype)
+        start, stop = first + np.searchsorted(t[first:end], before_us, side="right")
         return slice(int(start), int(stop))
 
 
@@ -146,8 +146,8 @@ def make_windows(
     which : indices of the recordings to divide; all by default.
     first_event : False: the first window starts at 0. True: it starts at each recording's first
         event, as in a stream that is classified without an explicit start.
-    duration_us : a recording has at most `duration_us // window_us` windows, and at least one.
-        None: up to its last event, so the last window may be partial.
+    duration_us : a recording is divided up to this time: into `duration_us // window_us` windows,
+        but at least one. None: up to its last event, so the last window may be partial.
     """
     which = np.arange(len(recordings)) if which is None else np.asarray(which)
     windows = []
@@ -155,9 +155,9 @@ def make_windows(
         t = recordings.t[recordings.offsets[r] : recordings.offsets[r + 1]].astype(np.int64)
         first_us = int(t[0]) if first_event and len(t) else 0
         # only windows that hold events, so that a pause of hours costs nothing
-        index = np.unique((t - first_us) // window_us)
+        numbers = np.unique((t - first_us) // window_us)
         if duration_us is not None:
-            index = index[index < max(1, duration_us // window_us)]
-        windows += [(r, first_us + window_us * k) for k in index]
+            numbers = numbers[numbers < max(1, duration_us // window_us)]
+        windows += [(r, first_us + window_us * k) for k in numbers]
     table = np.array(windows, np.int64).reshape(-1, 2)
     return Windows(recordings, np.ascontiguousarray(table[:, 0]), np.ascontiguousarray(table[:, 1]))

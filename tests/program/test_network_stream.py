@@ -155,9 +155,9 @@ def test_the_search_for_a_source_goes_on_after_any_error(error, tmp_path, monkey
     own = tmp_path / "a.own"
     own.touch()
     pixels = ModelPixels(Pixels(), (34, 34))
-    find_sources([own, sample_recordings()[7]], pixels)
+    check_sources([own, sample_recordings()[7]], pixels)
     with pytest.raises(error, match="no such luck"):
-        find_sources([own], pixels)
+        check_sources([own], pixels)
 
 
 @pytest.mark.parametrize("keep_up", [(), ("--keep-up", 60_000)])

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
-from async_tnt.resynthesis.calibration import _scaled, calibrate, describe, differing_numbers
+from async_tnt.resynthesis.calibration import (
+    _scale_thresholds,
+    calibrate,
+    describe,
+    differing_numbers,
+)
 from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
@@ -184,7 +189,7 @@ def test_thresholds_are_scaled_until_there_are_as_many_events():
     drawn = []
     for seed in (0, 1):
         images = [Image(), Image()]
-        pixels, events = _scaled(SimulatedPixels(MeasuredPixels()), images, 500, seed)
+        pixels, events = _scale_thresholds(SimulatedPixels(MeasuredPixels()), images, 500, seed)
         assert pixels.scale == pytest.approx(4, rel=0.005)
         assert [len(one) for one in events] == pytest.approx([250, 250], abs=2)
         drawn += [image.drawn for image in images]

@@ -78,7 +78,7 @@ def test_neighbours_tell_what_a_window_does_not():
     for scene, (path, image) in zip(scenes, found, strict=True):
         if path.span == 3 and not path.refused:
             np.testing.assert_allclose(path.at(np.array([1.0]))[0], net / 3, atol=1.5)
-            moved = image.picture.frames(path.before + path.at(np.array([0.5])))[0]
+            moved = image.picture.frames(path.window_start + path.at(np.array([0.5])))[0]
             seen = pictures(scene, [net / 2])[0]
             assert np.corrcoef(moved.ravel(), seen.ravel())[0, 1] > 0.6
             assert image.as_recorded(SimulatedPixels(PIXELS), rng)["t"].max() < third
@@ -111,7 +111,7 @@ def test_a_windows_part_of_a_path_begins_at_0(span):
     path = MotionPath(STEPS, span=span)
     at = path.at(np.array([0, 0.5, 1]))
     np.testing.assert_allclose(at, [(share * N_FRAMES / span, 0) for share in (0, 0.5, 1)])
-    np.testing.assert_allclose(path.before, (N_FRAMES * (span - 1) / 2 / span, 0))
+    np.testing.assert_allclose(path.window_start, (N_FRAMES * (span - 1) / 2 / span, 0))
     assert path.length == pytest.approx(N_FRAMES / span)
 
 

@@ -12,7 +12,7 @@ from async_tnt.kernels.training.window_batches import (
     PATCH,
     SCATTERED,
 )
-from async_tnt.training.augment import KINDS, Augmentation, of_nothing, unchanged
+from async_tnt.training.augment import KINDS, Augmentation, showing_nothing, unchanged
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
@@ -83,14 +83,14 @@ def test_a_partial_window_has_an_instant_at_least_and_is_no_longer_than_a_window
 
 def test_all_kinds_of_nothing_are_drawn_alike():
     draws = drawn(nothing=1.0)
-    kinds, counts = np.unique(draws.nothing, return_counts=True)
+    kinds, counts = np.unique(draws.content, return_counts=True)
     assert set(kinds) == {SCATTERED, ONE_POLARITY, HOT_PIXELS, PATCH, EDGE}
     np.testing.assert_allclose(counts / N, 1 / len(KINDS), atol=0.03)
 
 
 @pytest.mark.parametrize(("kind", "share_of_one"), [(ONE_POLARITY, 1.0), (EDGE, 0.5)])
 def test_what_is_of_one_polarity_is_as_often_on_as_off(kind, share_of_one):
-    draws = of_nothing(unchanged(N, CONFIG), np.full(N, kind), np.random.default_rng(0))
+    draws = showing_nothing(unchanged(N, CONFIG), np.full(N, kind), np.random.default_rng(0))
     on_share = draws.place[:, 7]
     found = np.mean(on_share == 0), np.mean(on_share == 1)
     assert found == pytest.approx((share_of_one / 2, share_of_one / 2), abs=0.03)

@@ -269,7 +269,7 @@ def test_early_in_a_window_few_objects_are_there():
     pipeline = Pipeline(CONFIG, net)
     there = [scores.after(pipeline, share).n_present.sum() for share in (0.05, 0.5, 1.0)]
     assert there[0] == 0 and 5 < there[1] < there[2]
-    words = scores.to_dict(pipeline)
+    words = scores.evaluate(pipeline)
     # of 1 ms
     assert list(words["f1_against_time_ms"]) == ["0.3", "0.5"] and words["objects"] == there[2]
 

@@ -601,7 +601,7 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
     A run with a teacher is another run than one without.
     """
     draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
-    draws.nothing[:] = 0, 1, 0, 2
+    draws.content[:] = 0, 1, 0, 2
     some = windows[
         np.concatenate([np.flatnonzero(windows.labels == label)[:2] for label in (0, 1)])
     ]

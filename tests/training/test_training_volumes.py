@@ -15,7 +15,7 @@ from async_tnt.kernels.training.window_batches import (
     SCATTERED,
     SHOWN,
 )
-from async_tnt.training.augment import FINE, Augmentation, of_nothing, unchanged
+from async_tnt.training.augment import FINE, Augmentation, showing_nothing, unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows
@@ -169,12 +169,12 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     draws = augmentation.draw(windows, config, RNG(1))
     again = augmentation.draw(windows, config, RNG(1))
     other = augmentation.draw(windows, config, RNG(2))
-    for name in ("start_us", "until_us", "matrix", "keep", "seed", "nothing", "place"):
+    for name in ("start_us", "until_us", "matrix", "keep", "seed", "content", "place"):
         np.testing.assert_array_equal(getattr(draws, name), getattr(again, name))
         assert not np.array_equal(getattr(draws, name), getattr(other, name))
     assert -5_000 <= draws.start_us.min() < -4_900 and 4_900 < draws.start_us.max() <= 5_000
     assert 0.7 <= draws.keep.min() < 0.71 and draws.until_us.min() >= 15_000
-    shares = (draws.until_us < config.window_us, draws.nothing > 0, draws.matrix[:, 0, 0] < 0)
+    shares = (draws.until_us < config.window_us, draws.content > 0, draws.matrix[:, 0, 0] < 0)
     assert np.mean(shares, axis=1) == pytest.approx([0.25, 0.1, 0.5], abs=0.03)
     late = Augmentation(late_start=0.25).draw(windows, config, RNG(1)).start_us
     assert (late > 5_000).mean() == pytest.approx(0.23, abs=0.03) and 60_000 < late.max() < 68_000
@@ -197,7 +197,7 @@ def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_ot
     draws = unchanged(3, config)
     draws.keep[:] = 0.25, 1.0, 1.0
     draws.seed[:] = 1, 2, 3
-    draws = of_nothing(draws, np.array([SHOWN, SCATTERED, SCATTERED]), RNG(0))
+    draws = showing_nothing(draws, np.array([SHOWN, SCATTERED, SCATTERED]), RNG(0))
     thinned, first, second = BatchVolumes(config)(windows, draws).astype(np.float64)
     # 4 sd of 19,000 events
     assert thinned.sum() / all_of_it[0].sum() == pytest.approx(0.25, abs=0.015)
@@ -225,7 +225,7 @@ def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds
     draws = unchanged(1, config)
     draws.keep[:] = 0.5
     draws.seed[:] = 7
-    draws = of_nothing(draws, np.array([kind]), RNG(0))
+    draws = showing_nothing(draws, np.array([kind]), RNG(0))
     expected = BatchVolumes(config)(alone, draws).copy()
     assert len(alone) == 1 and expected.any()
     np.testing.assert_array_equal(BatchVolumes(config)(behind, draws), expected)
@@ -237,7 +237,7 @@ def test_what_stands_in_the_place_of_a_recording(kind):
     config = TNTConfig(transform="none", polarity="split", bins=2, sensor=(50, 40), grid=(50, 40))
     windows = random_windows(config, 1, 30_000)[np.zeros(40, int)]
     n_events = BatchVolumes(config)(windows).sum() / 40
-    draws = of_nothing(unchanged(40, config), np.full(40, kind), RNG(0))
+    draws = showing_nothing(unchanged(40, config), np.full(40, kind), RNG(0))
     n_hot = set()
     # often of one polarity
     assert kind != EDGE or 10 < np.isin(draws.place[:, 7], (0, 1)).sum() < 30

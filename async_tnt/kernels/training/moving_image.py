@@ -1,4 +1,4 @@
-"""One image that moves over the sensor: the evidence for its path, and what the sensor sees.
+"""An image that moves over the sensor: the evidence for its path, and the pictures on the sensor.
 
 See `resynthesis.moving_image` for the model and its symbols. Numba takes arrays faster one by one
 than in a tuple, so two kernels have nine parameters.
@@ -16,7 +16,7 @@ from async_tnt.kernels.volume.records import COLUMNS
 def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     """The change of log luminance since the window's start, as the events tell it.
 
-    frames[k] is the change up to (k + 1) end_us / K.
+    frames[k] is the change up to the time (k + 1) end_us / K.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     x, y : int, (N,).
     p : int, (N,), 0 or 1.
     end_us : int. The window's length.
-    step_on, step_off : float. The thresholds: the change that an event tells of.
+    step_on, step_off : float. The thresholds: the change of log luminance at an event.
     cell : int. The side of a cell in sensor pixels. A cell averages its pixels.
     frames : float64, (K, rows, columns). Overwritten.
     """
@@ -46,12 +46,12 @@ def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     complex128[:, ::1],
 )
 def evidence_terms(
-    spectra, path, frequencies_x, frequencies_y, weights, prior, whitening, gradient, moving
+    spectra, path, frequencies_x, frequencies_y, weights, prior, whitening, gradient, phases
 ):
-    """The evidence of a path that N windows share, summed, and its gradient.
+    """The evidence of a path for N windows, summed over the windows, and its gradient.
 
-    With the phase e_k = exp(-i q r_k), a = e - 1, whitened by W, and each window's posterior mean
-    X = b / (h + Q):
+    e_k = exp(-i q r_k) is a phase, a = e - 1, and W whitens. X = b / (h + Q) is the posterior mean
+    of a window's image:
 
         E = 1/2 sum |b|^2 / (h + Q) - log(1 + h / Q)          h = |W a|^2,  b = (W a)^* W c
         dE/dr_k = sum Re[i q conj(e_k) (W^T (W c conj(X) - (|X|^2 + 1 / (h + Q)) W a))_k]
@@ -68,7 +68,7 @@ def evidence_terms(
     prior : float64, (F,): Q.
     whitening : float64, (K, K), lower triangular: W.
     gradient : float64, (K, 2). Overwritten.
-    moving : complex128, (F, K): e_k times the root of the weighted sum of |X|^2. Overwritten.
+    phases : complex128, (F, K): e_k times the root of the weighted sum of |X|^2. Overwritten.
 
     Returns
     -------
@@ -123,13 +123,13 @@ def evidence_terms(
             slope = weight * (1j * np.conj(phase[k]) * total).real
             gradient[k, 0] += qx * slope
             gradient[k, 1] += qy * slope
-            moving[f, k] = np.sqrt(weight * power) * phase[k]
+            phases[f, k] = np.sqrt(weight * power) * phase[k]
     return evidence
 
 
 @entry_point(float64[:, :, ::1], float64[:, ::1], float64[:, :, ::1], int64, float64, float64)
 def move_periodic(frames, image, places, first_row, origin, step):
-    """Pictures of a fine image that repeats itself, moved over the sensor.
+    """The pictures that the sensor sees of a moving image, which repeats itself.
 
         (u, v)          = places[k] @ (x, y, 1)
         frames[k, y, x] = image at column (u - origin) step and row (v - origin) step
@@ -140,21 +140,22 @@ def move_periodic(frames, image, places, first_row, origin, step):
     ----------
     frames : float64, (K, H, W). Overwritten.
     image : float64, (h, w).
-    places : float64, (K, 2, 3), finite. Which place of the image, in sensor pixels, a pixel sees.
+    places : float64, (K, 2, 3), finite. Maps a sensor pixel (x, y) to the place (u, v) of the image
+        that it sees, in sensor pixels.
     first_row : int. The row of the sensor that is the first one of `frames`.
-    origin : float. Where the image's first place is, in sensor pixels.
-    step : float. Places of the image in a sensor pixel.
+    origin : float. u and v of the image's first place, in sensor pixels.
+    step : float. Number of places of the image along a side of a sensor pixel.
     """
     n_rows, n_columns = image.shape
     for k in range(frames.shape[0]):
-        along_x, along_y, aside = places[k, 0] * step
-        down_x, down_y, down = places[k, 1] * step
-        aside = (aside - origin * step) % n_columns
-        down = (down - origin * step) % n_rows
+        column_per_x, column_per_y, column_0 = places[k, 0] * step
+        row_per_x, row_per_y, row_0 = places[k, 1] * step
+        column_0 = (column_0 - origin * step) % n_columns
+        row_0 = (row_0 - origin * step) % n_rows
         for y in range(frames.shape[1]):
             for x in range(frames.shape[2]):
-                column = along_x * x + along_y * (first_row + y) + aside
-                row = down_x * x + down_y * (first_row + y) + down
+                column = column_per_x * x + column_per_y * (first_row + y) + column_0
+                row = row_per_x * x + row_per_y * (first_row + y) + row_0
                 left = np.floor(column)
                 top = np.floor(row)
                 x_frac = column - left
@@ -170,7 +171,7 @@ def move_periodic(frames, image, places, first_row, origin, step):
 
 @compiled
 def _around(i, n):
-    """i % n without a division. It is quick where `i` is near [0, n)."""
+    """i % n without a division. It is quick if `i` is near the range [0, n)."""
     while i >= n:
         i -= n
     while i < 0:

@@ -1,4 +1,4 @@
-"""An event camera in front of a moving image: what its pixels follow, and their events."""
+"""The pixels of a simulated event camera: the low-pass of their light, and their events."""
 
 import numpy as np
 from numba import float64
@@ -9,9 +9,9 @@ from async_tnt.kernels.jit import inlined
 
 @entry_point(float64[:, :, ::1], float64[::1], float64, float64)
 def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
-    """Each pixel's light behind a low-pass of first order, which is slower in the dark.
+    """Each pixel's light after a low-pass of first order, which is slower in the dark.
 
-    It is computed by backward differences:
+    The low-pass is computed by backward differences:
 
         y[0] = L[0]
         y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1])
@@ -36,21 +36,21 @@ def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
             for x in range(log_frames.shape[2]):
                 light = log_frames[k, y, x]
                 before = followed[k - 1, y, x]
-                turns = scale * max(np.exp(light), darkest)
-                followed[k, y, x] = before + turns / (1.0 + turns) * (light - before)
+                a = scale * max(np.exp(light), darkest)
+                followed[k, y, x] = before + a / (1.0 + a) * (light - before)
     return followed
 
 
 @entry_point(float64[:, :, ::1], float64[::1], *(float64[:, ::1],) * 3, float64)
 def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):
-    """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
+    """Threshold crossings of all pixels: pixel after pixel, and by time for each pixel.
 
     Parameters
     ----------
     log_frames : float64, shape (K, H, W), finite.
     frame_times_us : float64, shape (K,), strictly increasing.
     threshold_on, threshold_off : float64, shape (H, W), above 0. Not checked here.
-    reference : float64, shape (H, W). Level R at the first frame.
+    reference : float64, shape (H, W). The reference level R at the first frame.
     refractory_us : float, at least 0.
 
     Returns
@@ -89,17 +89,18 @@ def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, refere
                         level = l_now
                         in_reset = False
 
-                    # The light is beyond a threshold now (only at the start, from a far-off
-                    # reference), or crosses one before the next frame, or does not.
-                    is_beyond_now = _beyond(l_now, level, c_on, c_off)
-                    direction = is_beyond_now
+                    # There are three cases. The light is beyond a threshold already, which happens
+                    # only at the start, if the reference is far off. Or it crosses a threshold
+                    # before the next frame. Or there is no event before the next frame.
+                    direction_now = _beyond(l_now, level, c_on, c_off)
+                    direction = direction_now
                     if direction == 0:
                         direction = _beyond(l1, level, c_on, c_off)
                     if direction == 0:
                         break
                     p = 1 if direction > 0 else 0
                     level = level + c_on if direction > 0 else level - c_off
-                    if is_beyond_now == 0:
+                    if direction_now == 0:
                         t_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0))
                         l_now = level
 

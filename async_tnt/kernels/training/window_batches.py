@@ -1,14 +1,14 @@
-"""The volumes of many windows, and the gradients of a loss on them by the windows' landmarks.
+"""The volumes of many windows, and the gradients of their loss by the windows' landmarks.
 
 Arguments that both kernels take:
 
     buffer   float64, the volume's `state`. Updated in place.
     scratch  columns t, x, y, p as long as the longest recording. Overwritten.
     columns  columns t, x, y, p of all recordings, end to end.
-    windows  nine arrays of N:
-             first, last : int64. Each window's recording: its events `first <= i < last`.
-             start_us, limit_us : int64. Each window's time.
-             matrix, keep, seed, nothing, place : how its events are moved and thinned, see
+    windows  nine arrays, each with an entry for each of N windows:
+             first, last : int64. The window's recording has the events `first <= i < last`.
+             start_us, limit_us : int64. The window has the times `start_us <= t < limit_us`.
+             matrix, keep, seed, content, place : how the window's events are moved and thinned, see
                  `augment.Draws`.
 """
 
@@ -24,7 +24,7 @@ from async_tnt.kernels.volume.readout import cell_at, cells_to_float32, empty_vo
 from async_tnt.kernels.volume.records import COLUMNS
 from async_tnt.kernels.volume.splat import grid_of, place_event
 
-# What is in a window: its recording, or one of the kinds of nothing of `_of_nothing`.
+# The content of a window: its recording, or one of the kinds of nothing, see `_event_of_nothing`.
 SHOWN = 0
 SCATTERED = 1
 ONE_POLARITY = 2
@@ -32,7 +32,8 @@ HOT_PIXELS = 3
 PATCH = 4
 EDGE = 5
 
-# A window's landmark: by the volume's mode, the centroid of the window's events, or given.
+# The landmark of a window: as the volume's state has it, the centroid of the window's events, or a
+# given one.
 OWN = 0
 MEAN = 1
 GIVEN = 2
@@ -66,14 +67,14 @@ BATCH = (
     float32[:, :, :, ::1],
     calls=(absorb, empty_volume, cells_to_float32),
 )
-def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
+def window_volumes(buffer, scratch, columns, windows, landmark_kind, landmarks, out):
     """Write the volume of each window into `out`.
 
     Parameters
     ----------
     buffer, scratch, columns, windows : see above.
-    about : OWN, MEAN or GIVEN.
-    landmarks : float64, (N, 2). Each window's landmark in sensor pixels, where they are given.
+    landmark_kind : OWN, MEAN or GIVEN.
+    landmarks : float64, (N, 2). Each window's landmark in sensor pixels. Only read with GIVEN.
     out : float32, (N, C, H, W). Updated in place.
     """
     ints = buffer.view(np.int64)
@@ -82,14 +83,15 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
     limit_us = windows[3]
     for i in range(out.shape[0]):
         n = _select_events(ints, scratch, columns, windows, i)
-        # Every volume goes to another array. The epoch, 0, is not read.
+        # Every volume is written into another array, so no cell of it is known. The epoch, 0, is
+        # not read.
         mark_unread(ints)
         empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)
 
-        if about == GIVEN:
+        if landmark_kind == GIVEN:
             buffer[S.FIXED_X] = landmarks[i, 0]
             buffer[S.FIXED_Y] = landmarks[i, 1]
-        elif about == MEAN and n > 0:
+        elif landmark_kind == MEAN and n > 0:
             sum_x = 0
             sum_y = 0
             for k in range(n):
@@ -119,8 +121,8 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
         dL/dl_x = sum_i dL/du_i du_i/dl_x
                 = sum_i -1/tau_i sum_b,y,x dL/dV[b, y, x] s_i k(b - b_i) k(y - v_i) k'(x - u_i)
 
-    with k' = -1 at the left and +1 at the right neighbour. Landmark and u are both in grid pixels,
-    so 1/tau_i = window_us / (t_max dt).
+    with k' = -1 at the left and +1 at the right neighbour. l and u are both in grid pixels, so
+    1/tau_i = window_us / (t_max dt_i), where dt_i is the time of event i since the window's start.
 
     Parameters
     ----------
@@ -154,7 +156,7 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
             d_v = 0.0
             for is_upper in range(2):
                 weight = upper if is_upper else lower
-                if weight == 0.0:  # As at the last bin, which has none above it.
+                if weight == 0.0:  # for example in the last bin, which has no bin above it
                     continue
                 g00 = _cell(gradient, i, b + is_upper, y, x)
                 g01 = _cell(gradient, i, b + is_upper, y, x + 1)
@@ -170,9 +172,9 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
 
 @inlined
 def _cell(gradient, i, b, y, x):
-    """dL/dV[b, y, x]; 0 one row or column beyond the grid, where nothing reads the volume."""
-    inside = (y < gradient.shape[2]) & (x < gradient.shape[3])
-    return np.float64(gradient[i, b, y, x]) if inside else 0.0
+    """dL/dV[b, y, x] of window i; 0 in the row and the column after the last of the grid."""
+    is_inside = (y < gradient.shape[2]) & (x < gradient.shape[3])
+    return np.float64(gradient[i, b, y, x]) if is_inside else 0.0
 
 
 @compiled
@@ -183,13 +185,13 @@ def _select_events(ints, scratch, columns, windows, window):
     """
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
     t, x, y, p = columns
-    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, nothings, places = windows
+    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, contents, places = windows
     last = lasts[window]
     limit_us = limits_us[window]
     matrix = matrices[window]
     keep = keeps[window]
     seed = seeds[window]
-    nothing = nothings[window]
+    content = contents[window]
 
     first = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
     n = 0
@@ -199,12 +201,13 @@ def _select_events(ints, scratch, columns, windows, window):
             x_moved = np.floor(matrix[0, 0] * x[i] + matrix[0, 1] * y[i] + matrix[0, 2] + 0.5)
             y_moved = np.floor(matrix[1, 0] * x[i] + matrix[1, 1] * y[i] + matrix[1, 2] + 0.5)
             polarity = p[i]
-            if nothing != SHOWN:
+            if content != SHOWN:
                 share = (t[i] - starts_us[window]) / (limit_us - starts_us[window])
-                x_moved, y_moved, is_on = _of_nothing(
-                    nothing, places[window], seed, i - first, share
+                x_moved, y_moved, is_on = _event_of_nothing(
+                    content, places[window], seed, i - first, share
                 )
-                polarity = np.uint8(is_on) if nothing != SCATTERED else polarity
+                # scattered events keep their polarity
+                polarity = np.uint8(is_on) if content != SCATTERED else polarity
             if 0 <= x_moved < ints[S.SENSOR_W] and 0 <= y_moved < ints[S.SENSOR_H]:
                 scratch_t[n] = t[i]
                 scratch_x[n] = np.uint16(x_moved)
@@ -216,28 +219,30 @@ def _select_events(ints, scratch, columns, windows, window):
 
 
 @compiled
-def _of_nothing(nothing, place, seed, i, share):
-    """The place (x, y) of event i of a window that shows nothing, and whether it is ON.
+def _event_of_nothing(content, place, seed, i, share):
+    """The place (x, y) of event i of a window that shows nothing, and whether the event is ON.
 
     Parameters
     ----------
-    nothing : int. What the window shows.
-    place : float64, (8,), in sensor pixels. Its last number is the share of ON events. The others:
-        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are.
+    content : int. The kind of nothing that the window shows.
+    place : float64, (8,), in sensor pixels. Its last number is the share of ON events. The others
+        depend on the kind of nothing:
+        SCATTERED, ONE_POLARITY, PATCH : left, top, width and height of the events' rectangle.
         HOT_PIXELS : x and y of three pixels.
-        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along the
-            normal in the window, its thickness and its length.
+        EDGE : x and y of a point of the edge, the edge's normal (cosine, sine), the distance that
+            the edge moves along its normal in the window, its thickness and its length.
     seed : uint64.
     i : int. The event's number.
-    share : float. How much of the window has passed, from 0 to 1.
+    share : float. The share of the window that has passed, from 0 to 1.
     """
+    # `seed` itself decides which events are kept. Other seeds give independent numbers.
     u = _uniform(~seed, 2 * i)
     v = _uniform(~seed, 2 * i + 1)
     is_on = _uniform(seed ^ np.uint64(0x5555555555555555), i) < place[7]
-    if nothing == HOT_PIXELS:
-        k = 2 * np.int64(3 * u)
+    if content == HOT_PIXELS:
+        k = 2 * np.int64(3 * u)  # of the pixel 0, 1 or 2
         return place[k], place[k + 1], is_on
-    if nothing == EDGE:
+    if content == EDGE:
         across = place[4] * (share - 0.5) + place[5] * (u - 0.5)
         along = place[6] * (v - 0.5)
         x = place[0] + place[2] * across - place[3] * along
@@ -250,8 +255,8 @@ def _of_nothing(nothing, place, seed, i, share):
 def _uniform(seed, i):
     """The i-th number in [0, 1) of the generator SplitMix64 with this seed.
 
-    An event gets the same number, whatever other numbers are drawn, and in any order. The constants
-    are those of the reference.
+    The number depends on the seed and on i alone, not on other numbers that are drawn. The
+    constants are those of the reference.
 
     References
     ----------
