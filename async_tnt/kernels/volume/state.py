@@ -78,7 +78,7 @@ N_READ = 37  # how many of these corners the array that users see already shows
 INTERVAL_LO = 38
 INTERVAL_HI = 39
 # ints: windows that were closed before their end
-# where the windows begin that lie before the open one and were closed early; NEVER_US: none was
+# all windows from this time up to the open window were closed early; NEVER_US: there is none
 DECIDED_FROM_US = 40
 DECIDED = 41  # late events at or after that time, dropped since the volume was made
 # ints: more parameters
