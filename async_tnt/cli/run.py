@@ -196,7 +196,7 @@ def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None
     counts = run.processor.counts
     complain_late(str(path), counts.dropped_late, counts.received, "--start-us")
     if not closed:
-        why = "no event in any window" if counts.received else run.pixels.nothing
+        why = "no event in any window" if counts.received else run.pixels.no_events
         raise ValueError(f"{path}: {why}")
 
 

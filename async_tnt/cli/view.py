@@ -143,7 +143,7 @@ def main(args: argparse.Namespace) -> int:
 
     n_events = view.processor.counts.received
     if not n_events and not stopped:
-        raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
+        raise ValueError(f"{path}: {pixels.no_events}, nothing to show")
     # a file without events is not written
     if args.out is not None and n_events:
         say(

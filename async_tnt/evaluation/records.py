@@ -245,7 +245,7 @@ def _decisions(
         yield from processor.push(packet)
     yield from processor.finish()
     if not processor.counts.received:
-        raise ValueError(pixels.nothing)
+        raise ValueError(pixels.no_events)
 
 
 def _error_line(error: Exception, task: Task) -> str:

@@ -88,6 +88,7 @@ def summarize(
         pixel_counts = np.zeros((known_sensor[1], known_sensor[0]), np.int64)
     first_us = recording.earliest_us
     duration_us = recording.duration_us
+    # One microsecond more, so that each part lasts some time even if all events have one time.
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
     part_counts = np.zeros(N_PARTS, np.int64)
     column_counts = np.zeros(ANY_SENSOR[0], np.int64)

@@ -266,6 +266,7 @@ def _columns(order: str | None, *arrays: np.ndarray) -> Four:
                 "expected a structured array with fields t, x, y, p or an (N, 4) array of those "
                 f"columns, got shape {array.shape} of {array.dtype}"
             )
+        # A table of another type is refused below, with the name of a column.
         arrays = _table_columns(array, order) if array.dtype.kind in "iu" else tuple(array.T)
     columns = named_columns(arrays if len(arrays) > 1 else array)
     if columns is None:

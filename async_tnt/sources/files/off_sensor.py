@@ -108,7 +108,10 @@ def likely_side(counts: np.ndarray) -> int:
     if not len(occupied):
         return 0
     n_beyond = counts.sum() - np.cumsum(counts[occupied])  # events behind each occupied column
+    # whether the next occupied column is more than twice as far out
     is_far = occupied[1:] + 1 > 2 * (occupied[:-1] + 1)
-    cuts = np.flatnonzero(is_far & (n_beyond[:-1] <= SHARE * counts.sum()))
+    are_few_beyond = n_beyond[:-1] <= SHARE * counts.sum()
+    # columns behind which only strays lie
+    cuts = np.flatnonzero(is_far & are_few_beyond)
     last = occupied[cuts[0]] if len(cuts) else occupied[-1]
     return int(last) + 1

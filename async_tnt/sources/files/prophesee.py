@@ -55,7 +55,7 @@ class EvtVersion:
     ----------
     decode : the kernel that decodes its words.
     word : type of a word, as the kernel takes it.
-    n_bytes : bytes that belong together.
+    n_bytes : bytes of the smallest part that can be decoded: a word, or a pair of words.
     """
 
     decode: Callable[..., tuple[int, int]]

@@ -377,7 +377,8 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
     is_base = kind == VECT_BASE_Y
     base_value = _latest(value, is_base)
     y = np.where(is_event, value, base_value) & 0x7FF
-    y += np.where(is_vector, 8 * (n_vectors - _latest(n_vectors, is_base)), 0)
+    n_since_base = n_vectors - _latest(n_vectors, is_base)
+    y += np.where(is_vector, 8 * n_since_base, 0)
     polarity = np.where(is_event, value, base_value) >> 11
 
     # events without a place, before the first ADDR_X or the first base

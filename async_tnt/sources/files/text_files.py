@@ -1,7 +1,7 @@
 """Text with an event per row: UZH's layout (`.txt`) and CSV (`.csv`, `.tsv`, `.txt`).
 
-UZH    t x y p between blanks, t in seconds. Before them there may be a line with the sensor's
-       width and height:
+UZH    t x y p between blanks, t in seconds. Before the rows there may be a line with the
+       sensor's width and height:
 
            240 180
            0.003811000 96 133 0

@@ -96,9 +96,9 @@ class Device(Protocol):
     as far as the library tells."""
 
     def read(self) -> np.ndarray | None:
-        """The next packet, a structured array in new memory; None if there is none now.
+        """The next packet, a structured array in new memory; None if no packet is there now.
 
-        Waits for a packet, for 0.2 s at most. If the camera is gone, raises what the library
+        It waits for a packet, for 0.2 s at most. If the camera is gone, it raises what the library
         raises, see `failure`.
         """
 
@@ -126,8 +126,8 @@ class FoundCamera:
 
 
 Driver = Callable[[], Sequence[FoundCamera]]
-"""Function that finds the connected cameras of one library. It raises an ImportError without the
-library, and what the library raises if it cannot search."""
+"""Function that finds the connected cameras of one library. It raises an ImportError if the library
+is not installed, and what the library raises if the library cannot search."""
 
 
 def failure(error: BaseException) -> str:

@@ -137,7 +137,8 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
         n = plain_counts[y, x].astype(np.float64)
         plausible = np.maximum(mean, _largest(plain_counts, y, x, RANK))
         is_far_above = n > FACTOR * plausible
-        is_not_by_chance = n * np.log(n / plausible) - (n - plausible) > least_evidence
+        evidence = n * np.log(n / plausible) - (n - plausible)
+        is_not_by_chance = evidence > least_evidence
         is_hot = is_far_above & is_not_by_chance
         if not is_hot.any():
             return hot

@@ -138,8 +138,8 @@ class ModelPixels:
         return ", ".join(parts)
 
     @property
-    def nothing(self) -> str:
-        """The words of a message about a source that has no event for the model."""
+    def no_events(self) -> str:
+        """The words, for a message, about a source that has no event for the model."""
         return "no events at the selected pixels" if self.pixels.leaves_out else "no events"
 
     def _advice(self, camera: Sensor | None) -> str:

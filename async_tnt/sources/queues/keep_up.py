@@ -18,13 +18,14 @@ MAX_PACKETS = 1 << 20
 small."""
 
 SLOWER_FROM = 0.25
-"""Share of `max_delay_us`: a packet that waited longer makes decisions rarer."""
+"""Share of `max_delay_us`: a packet that waited longer than that makes decisions rarer."""
 
 URGENT_FROM = 0.5
-"""Share of `max_delay_us`: after a packet that waited longer, the next change comes soon."""
+"""Share of `max_delay_us`: after a longer wait than that, the next change comes soon."""
 
 FASTER_BELOW = 0.05
-"""Share of `max_delay_us`: a packet that waited for less makes decisions more frequent again."""
+"""Share of `max_delay_us`: a packet that waited for less than that makes decisions more frequent
+again."""
 
 PAUSE = 0.25
 """Least time between two changes, as a share of `max_delay_us`, because a change takes effect only
@@ -119,7 +120,7 @@ class KeepUp(BackgroundReader):
         if self._every_us is None:
             return 1
         # a step longer than the window changes nothing
-        n_steps: int = -(-self._processor.config.window_us // self._every_us)
+        n_steps: int = -(-self._processor.config.window_us // self._every_us)  # rounded up
         return min(n_steps, MOST_SLOWER)
 
     def _raise_error(self) -> None:
