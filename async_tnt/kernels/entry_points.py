@@ -30,7 +30,7 @@ from async_tnt.kernels.shipped import load_shipped, shipped
 ENTRY_POINTS: list[EntryPoint] = []
 """All entry points of the modules that have been imported, callees before their callers."""
 
-SAID_AFTER_S = 1.0
+WARN_AFTER_S = 1.0
 """Seconds of compilation after which a line says what this process is doing."""
 
 _logger = logging.getLogger("async_tnt")
@@ -169,7 +169,7 @@ class _Waiting:
 
     def _say(self, has_folder: bool) -> None:
         """Say, once, why this process waits, if it has waited long enough."""
-        if self._is_said or self._seconds < SAID_AFTER_S:
+        if self._is_said or self._seconds < WARN_AFTER_S:
             return
         self._is_said = True
         how_often = "once on this machine"

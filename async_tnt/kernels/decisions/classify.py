@@ -26,7 +26,7 @@ NOT_FINITE = 3  # the logits in row n are not all finite
 
 # what `notes` says of a decision
 NOTED_EVENTS = 0  # events of the window
-NOTED_NEWEST_US = 1
+NOTED_NEWEST_US = 1  # time of the newest event of the window
 NOTED_TRIGGER = 2  # why it was due, see `trigger`
 NOTED_CLASS = 3
 DECISION_FIELDS = 4  # numbers in a row

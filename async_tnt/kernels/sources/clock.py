@@ -12,13 +12,13 @@ from async_tnt.kernels.volume.records import MAX_TIME_US, load, store
 
 # The clock, int64: the state between packets. Its times are the sender's, without the offset.
 NEWEST = 0  # the newest time so far; -1 before the first packet
-NEWEST_ARRIVAL = 1  # when it came, on the receiver's clock
+NEWEST_ARRIVAL = 1  # when the packet with this time came, on the receiver's clock
 OFFSET = 2  # added to every time
 CANDIDATE = 3  # the oldest time of the packet that voted last
 CANDIDATE_ARRIVAL = 4  # when that packet came
 VOTES = 5  # packets in a row that agree that the clock has moved
 JUMPED = 6  # events dropped because their time jumps
-LATE = 7  # events older than one before them
+LATE = 7  # events older than an event before them
 RESTARTS = 8  # how often the clock has moved back
 INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0, 0)
 """The clock before the first packet."""

@@ -24,7 +24,7 @@ LOW = 1  # EVT3: the low part of the time
 ROW = 2  # EVT3: the row of the events that follow; -1: not known yet
 BASE = 3  # EVT3: the first column of the vector that follows; -1: not known yet
 POLARITY = 4  # EVT3: the polarity of vectors
-UNPLACED = 5  # events, or vectors of them, that were skipped
+UNPLACED = 5  # number of events, or of vectors of events, that were skipped
 INITIAL = (-1, 0, -1, -1, 0, 0)
 """The state at a file's start."""
 LAST_COLUMN = (1 << 16) - 1

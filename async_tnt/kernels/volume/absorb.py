@@ -200,7 +200,9 @@ def _absorb_event(buffer, ints, t, x, y, p):
     ints[S.KEPT] += is_kept
     ints[S.TAU_ZERO] += den == 0.0
     _note_changed_bins(ints, grid, dt, dt)
-    ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
+    # LOG_SIZE is a power of two, so `&` gives the remainder of a division by it.
+    place_in_log = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
+    ints[ints[S.LOG] + place_in_log] = corner
     ints[S.N_LOG] += 1
 
     row = np.uint64(ints[S.ROW])

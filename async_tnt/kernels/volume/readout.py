@@ -81,7 +81,9 @@ def cells_to_float32(buffer, array):
         _copy_planes(buffer, ints, array)
     else:
         for k in range(ints[S.N_READ], ints[S.N_LOG]):
-            _copy_around(buffer, ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))], array)
+            # LOG_SIZE is a power of two, so `&` gives the remainder of a division by it.
+            place_in_log = k & (ints[S.LOG_SIZE] - 1)
+            _copy_around(buffer, ints, ints[ints[S.LOG] + place_in_log], array)
     _note_read(ints)
 
 

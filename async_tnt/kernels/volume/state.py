@@ -65,11 +65,11 @@ SUM_X = 27  # sensor pixels
 SUM_Y = 28
 SUM_T = 29  # microseconds since the window's start
 NEWEST_US = 30  # newest event of the window
-# ints: counted since the volume was made
-RECEIVED = 31
-KEPT = 32
-LATE = 33
-TAU_ZERO = 34
+# ints: numbers of events since the volume was made
+RECEIVED = 31  # events that came
+KEPT = 32  # events added to the volume
+LATE = 33  # events before the open window, without those of DECIDED
+TAU_ZERO = 34  # events at the start of their window, where tau is 0
 # ints: what changed
 EPOCH = 35  # the number of the open window
 N_LOG = 36  # corners logged since the window opened
