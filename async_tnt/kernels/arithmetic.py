@@ -56,9 +56,9 @@ class Arithmetic:
         return total
 
     def where(self, a: Any, relation: str, b: Any, then: Any, otherwise: Any) -> ir.Value:
-        """then if a < b else otherwise, and likewise with other relations.
+        """`then if a < b else otherwise`, and likewise with other relations.
 
-        `otherwise` where a or b is nan.
+        It is `otherwise` where a or b is nan.
         """
         holds = self._builder.fcmp_ordered(relation, *self._floats(a, b))
         return self._builder.select(holds, *self._floats(then, otherwise))

@@ -2,7 +2,7 @@
 
     Python                  EntryPoint.call       compiled code, nothing is checked
     Python, foreign arrays  EntryPoint.checked    Numba looks at each argument first (100 to 150 ns)
-    another kernel          the same name         a call of the code that is there, see `_linked`
+    another kernel          the same name         a call of the code that is there, see `_call_of`
 
 An entry point is compiled once, or loaded: from the package (`shipped`), or from Numba's cache on
 disk. All other functions in `kernels` are parts of entry points, and are compiled into them.
@@ -30,7 +30,7 @@ from async_tnt.kernels.shipped import load_shipped, shipped
 ENTRY_POINTS: list[EntryPoint] = []
 """All entry points of the modules that have been imported, callees before their callers."""
 
-SAID_AFTER_S = 1.0
+WARN_AFTER_S = 1.0
 """Seconds of compilation after which a line says what this process is doing."""
 
 _logger = logging.getLogger("async_tnt")
@@ -50,9 +50,9 @@ class EntryPoint:
     ----------
     name : the kernel's module, without the package's name, and its own name.
     kernel : Numba's dispatcher.
-    call : calls the compiled code. Nothing is checked: a wrong argument may end the process.
-    checked : calls it, after Numba has looked at the type of each argument. It raises a TypeError
-        if the code is not compiled for one of them.
+    call : calls the compiled code. As nothing is checked, a wrong argument may end the process.
+    checked : calls the compiled code after Numba has looked at the type of each argument. It raises
+        a TypeError if the code is not compiled for one of the types.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class EntryPoint:
         self.checked: Callable[..., Any] = self._prepare_and_check
         self.kernel = cached(function, **options)
         self.kernel._cache = _Cache(self.name, self.kernel._cache)
-        self._linked = _linked(self, function)
+        self._called_by_kernels = _call_of(self, function)
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
         ENTRY_POINTS.append(self)
@@ -82,7 +82,7 @@ class EntryPoint:
     @property
     def _numba_type_(self) -> Any:
         """What other kernels see under the entry point's name."""
-        return cpu_target.typing_context.resolve_value_type(self._linked)
+        return cpu_target.typing_context.resolve_value_type(self._called_by_kernels)
 
     @property
     def symbol(self) -> str:
@@ -99,7 +99,7 @@ class EntryPoint:
         if self.is_ready:
             return
         with compiling:
-            if self.is_ready:  # since another thread held the lock
+            if self.is_ready:  # the thread that held the lock before has prepared it
                 return
             for called in self.calls:
                 called.prepare()
@@ -134,9 +134,9 @@ class EntryPoint:
 
 @contextlib.contextmanager
 def _not_collecting() -> Iterator[None]:
-    """Run the block without garbage collection, which takes a tenth of the time.
+    """Run the block without garbage collection, which takes a tenth of the time of a compilation.
 
-    Numba makes no garbage in the meantime.
+    Numba makes no garbage in the block, so nothing is lost by that.
     """
     was_collecting = gc.isenabled()
     gc.disable()
@@ -164,19 +164,19 @@ class _Waiting:
         self._began_s = time.perf_counter()
 
     def end(self) -> None:
-        """Note that it has ended."""
+        """Note that the compilation has ended."""
         self._seconds += time.perf_counter() - self._began_s
 
     def _say(self, has_folder: bool) -> None:
         """Say, once, why this process waits, if it has waited long enough."""
-        if self._is_said or self._seconds < SAID_AFTER_S:
+        if self._is_said or self._seconds < WARN_AFTER_S:
             return
         self._is_said = True
-        where = "once on this machine"
+        how_often = "once on this machine"
         if not has_folder:
-            where = "in every process, as no cache folder can be written (see NUMBA_CACHE_DIR)"
+            how_often = "in every process, as no cache folder can be written (see NUMBA_CACHE_DIR)"
         _logger.warning(
-            "async_tnt: compiling kernels for some seconds, %s (%s)", where, shipped().why_not
+            "async_tnt: compiling kernels for some seconds, %s (%s)", how_often, shipped().why_not
         )
 
 
@@ -190,7 +190,7 @@ class _Cache:
 
     Parameters
     ----------
-    name : the entry point's.
+    name : the entry point's name.
     on_disk : Numba's own cache of the kernel.
     """
 
@@ -205,14 +205,14 @@ class _Cache:
     def find(self, types: Any) -> Any:
         """The code in the package or on disk; None if there is none."""
         context = cpu_target.target_context
-        found = load_shipped(self._name, context)
-        return self._on_disk.load_overload(types, context) if found is None else found
+        code = load_shipped(self._name, context)
+        return self._on_disk.load_overload(types, context) if code is None else code
 
     def load_overload(self, types: Any, context: Any) -> Any:
-        found = self.find(types)
-        if found is None:
+        code = self.find(types)
+        if code is None:
             _waiting.begin(self.cache_path is not None)
-        return found
+        return code
 
     def save_overload(self, types: Any, result: Any) -> None:
         _waiting.end()
@@ -237,7 +237,8 @@ def entry_point(
     ----------
     types : Numba's types of its arguments.
     calls : the entry points that the kernel calls, itself or through its parts.
-    nogil : release Python's lock in each call. It is for work that always takes longer than that.
+    nogil : release Python's lock in each call. It is for work that always takes longer than the
+        release.
     """
     return partial(EntryPoint, types=types, calls=calls, nogil=nogil)
 
@@ -248,7 +249,7 @@ def prepare(*entry_points: EntryPoint) -> None:
         entry.prepare()
 
 
-def _linked(entry: EntryPoint, function: Callable[..., Any]) -> Any:
+def _call_of(entry: EntryPoint, function: Callable[..., Any]) -> Any:
     """What a kernel compiles where it calls an entry point: a call of another code's symbol.
 
     So the callee's code is not compiled into its caller once more.
@@ -260,8 +261,8 @@ def _linked(entry: EntryPoint, function: Callable[..., Any]) -> Any:
 
         def codegen(context: Any, builder: Any, signature: Any, values: list) -> Any:
             convention = context.call_conv
-            kind = convention.get_function_type(returns, entry.types)
-            callee = cgutils.get_or_insert_function(builder.module, kind, entry.symbol)
+            function_type = convention.get_function_type(returns, entry.types)
+            callee = cgutils.get_or_insert_function(builder.module, function_type, entry.symbol)
             status, result = convention.call_function(builder, callee, returns, entry.types, values)
             # An index out of bounds, where indices are checked.
             with cgutils.if_unlikely(builder, status.is_error):
@@ -271,8 +272,8 @@ def _linked(entry: EntryPoint, function: Callable[..., Any]) -> Any:
         return returns(*entry.types), codegen
 
     # Numba reads the number and the names of the arguments from this signature.
-    own = inspect.signature(call)
-    context, _ = own.parameters.values()
+    signature = inspect.signature(call)
+    context, _ = signature.parameters.values()
     parameters = inspect.signature(function).parameters.values()
-    call.__signature__ = own.replace(parameters=[context, *parameters])  # type: ignore[attr-defined]
+    call.__signature__ = signature.replace(parameters=[context, *parameters])  # type: ignore[attr-defined]
     return intrinsic(call)

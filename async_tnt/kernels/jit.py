@@ -40,7 +40,7 @@ _locks = [compiling, global_compiler_lock, _llvm_lock]
 
 
 def sources_digest() -> str:
-    """The SHA-256 of all files of kernels: of what compiled code depends on."""
+    """The SHA-256 of all files of kernels, on which compiled code depends."""
     folder = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
@@ -59,17 +59,17 @@ def cached(function: Callable[..., Any], **options: Any) -> Any:
     """Compile at the first call, or load what an earlier process compiled.
 
     Where neither the package's folder nor the user's cache folder is writable, Numba refuses to
-    decorate a function for its cache (NUMBA_CACHE_DIR names another folder); then every process
-    compiles for itself.
+    decorate a function for its cache, and every process compiles for itself. NUMBA_CACHE_DIR can
+    name another folder.
     """
     try:
         kernel = _strict(cache=True, **options)(function)
     except RuntimeError:
         return _strict(**options)(function)
 
-    # Numba looks only at the file of the function itself, at its time and size: after an edit of a
-    # formula that is compiled into it from another file, it would still serve the old code. So
-    # every cached kernel depends on the content of all files here.
+    # Numba compares only the time and the size of the function's own file. After an edit of a
+    # formula that is compiled into the function from another file, it would still serve the old
+    # code. So every cached kernel is made to depend on the content of all files here.
     cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = (SOURCES, BOUNDS_CHECKED)

@@ -5,9 +5,9 @@ is kept, because to wait for it afterwards may take longer. See also WITHOUT_GIL
 
 The rule: no return, and nothing that raises, may stand between the two. A test reads the kernels
 and verifies it. Numba's own way, `nogil=True`, needs no rule, but holds for all calls of a kernel.
-Then each kernel is needed twice, for little and for much. As measured, a user's first start then
-takes 27.0 s instead of 23.6 s to compile, and the choice in Python takes 1 to 2 % of a `push` of 10
-events.
+Then each kernel is needed twice, for little work and for much work. As measured, a user's first
+start then takes 27.0 s instead of 23.6 s to compile, and the choice in Python takes 1 to 2 % of a
+`push` of 10 events.
 """
 
 from numba import types
@@ -24,7 +24,7 @@ LARGE = 4_000
 def release_gil(typingctx, when):
     """Release the lock if `when`. Returns what `take_gil` needs.
 
-    Where indices are checked, which may raise, the lock is never released.
+    Where indices are checked, a kernel may raise an error, so the lock is never released.
     """
 
     def codegen(context, builder, signature, args):

@@ -57,15 +57,15 @@ def ship(kinds: list[str], folder: Path) -> list[Path]:
 
 def main() -> int:
     """The command, see above. Returns the exit code."""
-    words = sys.argv[1:]
-    if not words or words[1:] not in ([], ["all"]):
+    arguments = sys.argv[1:]
+    if not arguments or arguments[1:] not in ([], ["all"]):
         print(f"usage: python -m {PACKAGE}.ship FOLDER [all]", file=sys.stderr)
         return 2
     best = best_kind()
     kinds = [] if best is None else [best]
-    if words[1:]:
+    if arguments[1:]:
         kinds = list(KINDS) if is_x86() else [GENERIC]
-    for path in ship(kinds, Path(words[0])):
+    for path in ship(kinds, Path(arguments[0])):
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
     return 0
 

@@ -84,10 +84,12 @@ def read_file(path: Path) -> Shipped:
     except OSError:
         return Shipped(why_not="the package brings no code for this processor")
     try:
-        about = json.loads(head)
-        key = dict(about["key"])
-        places = {name: (int(first), int(last)) for name, (first, last) in about["code"].items()}
-        checksum = about["sha256"]
+        description = json.loads(head)
+        key = dict(description["key"])
+        places = {
+            name: (int(first), int(last)) for name, (first, last) in description["code"].items()
+        }
+        checksum = description["sha256"]
     except (ValueError, KeyError, TypeError, AttributeError):
         return Shipped(why_not=f"{path.name} is damaged")
     for name, value in own_key().items():
@@ -95,8 +97,8 @@ def read_file(path: Path) -> Shipped:
             return Shipped(why_not=_difference(name, key.get(name), value))
     if hashlib.sha256(body).hexdigest() != checksum:
         return Shipped(why_not=f"{path.name} is damaged")
-    whole = memoryview(body)
-    return Shipped({name: whole[first:last] for name, (first, last) in places.items()})
+    all_code = memoryview(body)
+    return Shipped({name: all_code[first:last] for name, (first, last) in places.items()})
 
 
 def _difference(name: str, theirs: Any, ours: str) -> str:
@@ -114,9 +116,9 @@ def write_file(path: Path, code: dict[str, bytes]) -> None:
         places[name] = (first, first + len(part))
         first += len(part)
     body = b"".join(code.values())
-    about = {"key": own_key(), "sha256": hashlib.sha256(body).hexdigest(), "code": places}
+    description = {"key": own_key(), "sha256": hashlib.sha256(body).hexdigest(), "code": places}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(json.dumps(about).encode() + b"\n" + body)
+    path.write_bytes(json.dumps(description).encode() + b"\n" + body)
 
 
 def state_of_kernels() -> str:

@@ -11,8 +11,9 @@ same arguments and the same bits:
 
 Other kernels call `tile`: the instructions, or under NUMBA_BOUNDSCHECK=1 the loops.
 
-A register holds LANES float32. How many that is depends on the machine, and with it the layout of
-weights; results do not: every sum is taken in one order, each product added with one rounding.
+A register holds LANES float32. How many that is depends on the machine, and so does the layout of
+weights. Results do not, because every sum is taken in one order, and each product is added with one
+rounding.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ VECTOR = ir.VectorType(ir.FloatType(), LANES)
 ZERO = ir.Constant(VECTOR, [0.0] * LANES)
 
 SPELLINGS: dict[str, tuple[Any, Any]] = {}
-"""Name of a vectorized kernel -> its plain loops, its instructions."""
+"""Name of a vectorized kernel -> (its plain loops, its instructions)."""
 
 
 def whole(value: int) -> ir.Constant:
@@ -127,7 +128,7 @@ class Simd:
 
 
 def _alignment(kind: ir.VectorType) -> int:
-    """Bytes: a vector may lie wherever one of its numbers may."""
+    """The alignment of a vector, in bytes: that of one of its numbers."""
     return 8 if kind.element == ir.DoubleType() else 4
 
 
@@ -182,7 +183,7 @@ def fma(typingctx: Any, a: types.Type, b: types.Type, c: types.Type) -> Any:
 
 @intrinsic
 def trailing_zeros(typingctx: Any, word: types.Type) -> Any:
-    """The number of the lowest bit of a uint64 that is set; one must be."""
+    """The number of the lowest bit that is set in a uint64, which must not be 0."""
 
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
@@ -225,11 +226,11 @@ def add_f64x2_plain(cells, index, first, second, factor):
 def add_f64x2(simd, cells, index, first, second, factor):
     builder = simd.builder
     pair = ir.VectorType(ir.DoubleType(), 2)
-    place = [ir.Constant(ir.IntType(32), k) for k in range(2)]
+    lane = [ir.Constant(ir.IntType(32), k) for k in range(2)]
 
     def pack(one: ir.Value, other: ir.Value) -> ir.Value:
-        half = builder.insert_element(ir.Constant(pair, ir.Undefined), one, place[0])
-        return builder.insert_element(half, other, place[1])
+        half = builder.insert_element(ir.Constant(pair, ir.Undefined), one, lane[0])
+        return builder.insert_element(half, other, lane[1])
 
     added = builder.fmul(pack(first, second), pack(factor, factor))
     simd.store(builder.fadd(simd.load(cells, index, pair), added), cells, index)

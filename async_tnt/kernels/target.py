@@ -19,7 +19,7 @@ GENERIC = "generic"
 """The kind of all processors of another architecture."""
 
 OTHERWISE = ("NUMBA_BOUNDSCHECK", "NUMBA_DEBUGINFO", "NUMBA_ENABLE_AVX", "NUMBA_OPT")
-"""Variables of the environment by which Numba compiles otherwise, for any processor."""
+"""Variables of the environment that change what Numba compiles, for any processor."""
 
 
 def settings_for(kind: str) -> dict[str, str]:
@@ -34,7 +34,7 @@ def is_x86() -> bool:
 
 
 def best_kind() -> str | None:
-    """The best kind that this machine's processor is of; None: it is older than all of them."""
+    """The best kind that this machine's processor is of; None: it is older than all these kinds."""
     if not is_x86():
         return GENERIC
     features = llvm.get_host_cpu_features()
@@ -45,9 +45,9 @@ def best_kind() -> str | None:
 
 
 def chosen_kind() -> str | None:
-    """The kind of processor that this process compiles for; None: it is none of them.
+    """The kind of processor that this process compiles for; None: it is none of the kinds.
 
-    That is the best one, unless NUMBA_CPU_NAME and NUMBA_CPU_FEATURES say another one.
+    It is the best kind, unless NUMBA_CPU_NAME or NUMBA_CPU_FEATURES is set.
     """
     if _config.CPU_NAME is None and _config.CPU_FEATURES is None:
         return best_kind()

@@ -24,7 +24,7 @@ def open_source(
 ) -> Any:
     """Packets of events from a file, a camera, the network or memory.
 
-    They can be given to `stream` and `Processor.push`.
+    The packets can be given to `stream` and `Processor.push`.
 
     Parameters
     ----------

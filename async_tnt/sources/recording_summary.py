@@ -19,7 +19,7 @@ PACKET_EVENTS = 1 << 16
 """Number of events that are counted together."""
 
 N_PARTS = 60
-"""Number of equal parts of a recording, in time, whose events are counted apart."""
+"""Number of parts of equal duration of a recording, whose events are counted apart."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class RecordingSummary:
     unsorted : number of events that are earlier than the event before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
     events_a_second : rate in each of `N_PARTS` equal parts of the recording; empty without events.
-    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixels/hot_pixels.py`; empty
-        where the sensor is not known.
+    hot_pixels : `x`, `y` and `events` of each hot pixel, busiest first, see
+        `pixels/hot_pixels.py`; empty where the sensor is not known.
     topics : `name`, `type`, `messages` and `is_read` of each topic of a ROS bag; empty for other
         files.
     """
@@ -77,21 +77,22 @@ def summarize(
 
     Raises
     ------
-    As `open_recording`. A damaged recording is summarized up to the damage.
+    The errors of `open_recording`. A damaged recording is summarized up to the damage.
     """
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor, off_sensor="count", **reading)
-    known = recording.sensor
-    counts_pixels = False
-    pixels = np.zeros((0, 0), np.int64)
-    if known is not None and known[0] * known[1] <= MAX_PIXELS:
-        counts_pixels = True
-        pixels = np.zeros((known[1], known[0]), np.int64)
+    known_sensor = recording.sensor
+    has_pixel_counts = False
+    pixel_counts = np.zeros((0, 0), np.int64)
+    if known_sensor is not None and known_sensor[0] * known_sensor[1] <= MAX_PIXELS:
+        has_pixel_counts = True
+        pixel_counts = np.zeros((known_sensor[1], known_sensor[0]), np.int64)
     first_us = recording.earliest_us
     duration_us = recording.duration_us
+    # One microsecond more, so that each part lasts some time even if all events have one time.
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
-    counts = np.zeros(N_PARTS, np.int64)
-    columns = np.zeros(ANY_SENSOR[0], np.int64)
-    rows = np.zeros(ANY_SENSOR[1], np.int64)
+    part_counts = np.zeros(N_PARTS, np.int64)
+    column_counts = np.zeros(ANY_SENSOR[0], np.int64)
+    row_counts = np.zeros(ANY_SENSOR[1], np.int64)
     n_on = 0
     n_unsorted = 0
     previous_us = -1
@@ -99,26 +100,29 @@ def summarize(
         t = np.ascontiguousarray(packet["t"])
         x = np.ascontiguousarray(packet["x"])
         y = np.ascontiguousarray(packet["y"])
-        columns += np.bincount(x, minlength=len(columns))
-        rows += np.bincount(y, minlength=len(rows))
-        if counts_pixels:
-            count_events(x, y, len(t), pixels)
+        column_counts += np.bincount(x, minlength=len(column_counts))
+        row_counts += np.bincount(y, minlength=len(row_counts))
+        if has_pixel_counts:
+            count_events(x, y, len(t), pixel_counts)
         n_on += int((packet["p"] > 0).sum())
         n_unsorted += int((np.diff(t, prepend=previous_us) < 0).sum())
         previous_us = int(t[-1])
-        counts += np.histogram(t - first_us, edges)[0]
+        part_counts += np.histogram(t - first_us, edges)[0]
 
     events_a_second: list[float] = []
     if recording.n_events:
-        events_a_second = (counts / (np.diff(edges) * 1e-6)).tolist()
+        events_a_second = (part_counts / (np.diff(edges) * 1e-6)).tolist()
+    hot: list[dict[str, int]] = []
+    if has_pixel_counts:
+        hot = listed_pixels(pixel_counts, hot_pixels(pixel_counts))
     return RecordingSummary(
         recording=str(path),
         format=recording.format,
         bytes=recording.path.stat().st_size,
-        sensor=known,
+        sensor=known_sensor,
         sensor_stated=recording.stated_sensor is not None,
-        extent=(likely_side(columns), likely_side(rows)),
-        reach=(_reach(columns), _reach(rows)),
+        extent=(likely_side(column_counts), likely_side(row_counts)),
+        reach=(_reach(column_counts), _reach(row_counts)),
         off_sensor=recording.counts.off_sensor,
         events=recording.n_events,
         on=n_on,
@@ -126,7 +130,7 @@ def summarize(
         first_us=first_us,
         last_us=first_us + duration_us,
         events_a_second=events_a_second,
-        hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if counts_pixels else [],
+        hot_pixels=hot,
         topics=[asdict(topic) for topic in recording.source.topics],
     )
 

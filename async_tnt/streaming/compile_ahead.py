@@ -1,7 +1,7 @@
 """Compile the kernels of a stream before its first event.
 
-Each object compiles, or loads, the kernels that it calls when it is made; so does a copy of it in
-another process. No event then waits for the compiler.
+Each object compiles, or loads, the kernels that it calls as soon as it is made. So does a copy of
+the object in another process. No event then waits for the compiler.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
 
     Returns
     -------
-    float : how many seconds that took.
+    float : how many seconds the compilation, or the loading, took.
     """
     started_s = time.perf_counter()
     if isinstance(model, (str, Path)):
@@ -44,23 +44,29 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
     if model is None:
         prepare(*ENTRY_POINTS)
     elif isinstance(model, Model):
-        _make_streams(model.config)
+        _make_stream(model.config)
         Processor(model, every_events=1, late="drop")
         CompiledClassifier(model)(np.zeros(model.config.shape, np.float32))
     elif isinstance(model, TNTConfig):
-        _make_streams(model)
+        _make_stream(model)
     else:
         rule = "must be a Model, the name or path of one, or a TNTConfig"
         raise ParameterTypeError("model", rule, short(model))
     return time.perf_counter() - started_s
 
 
-def _make_streams(config: TNTConfig) -> None:
-    """Make a stream of a foreign classifier, with triggers of all kinds."""
+def _make_stream(config: TNTConfig) -> None:
+    """Make a stream with a foreign classifier, which compiles its kernels.
+
+    `len` takes the place of the classifier. It is never called.
+    """
     settings: dict[str, Any] = {"regressor": len} if config.needs_regressor else {}
     Processor(config, classifier=len, every_events=1, late="drop", **settings)
 
 
 def must_compile() -> bool:
-    """Whether a stream has to wait until its kernels are compiled, for some seconds."""
+    """Whether a stream has to wait until its kernels are compiled, for some seconds.
+
+    Every stream needs `absorb`, so this kernel stands for all that a stream needs.
+    """
     return not absorb.is_quick

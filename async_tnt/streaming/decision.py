@@ -46,8 +46,8 @@ LIKELIEST = 3
 """Number of classes, or of objects, that the `repr` of a decision names."""
 
 
-# eq=False: a comparison of two arrays is an array, which has no truth value
-# Not frozen: that would make a decision take six times as long to create.
+# eq=False, because a comparison of two arrays is an array, which has no truth value. Not frozen,
+# because a frozen decision would take six times as long to create.
 @dataclass(slots=True, eq=False, repr=False)
 class Decision:
     """What a window shows at one moment: its class, or with a map model the objects in it."""
@@ -72,8 +72,8 @@ class Decision:
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether this decision closes the window, at the window's end or early by `confidence`. False
-    for a decision at the end of the stream."""
+    """Whether this decision closes the window, at the window's end or early by `confidence`. It is
+    False for a decision at the end of the stream."""
     trigger: Trigger
     """The cause of the decision: `window` (the window has ended), `every_us`, `every_events`,
     `confidence` (which closed the window), `fire` (on demand) or `end` (the stream has ended)."""
@@ -92,7 +92,7 @@ class Decision:
     def __repr__(self) -> str:
         """What was decided, why and when, on one line.
 
-        The arrays are left out: they may hold thousands of numbers.
+        The arrays are left out, because they may hold thousands of numbers.
         """
         answer = self._likeliest_classes() if self.objects is None else self._likeliest_objects()
         return (
@@ -102,23 +102,24 @@ class Decision:
 
     def _likeliest_classes(self) -> str:
         best = np.argsort(-self.probabilities, kind="stable")[:LIKELIEST].tolist()
-        listed = ", ".join(f"{k}: {self.probabilities[k]:.3f}" for k in best)
-        return f"likeliest={{{listed}}}"
+        texts = ", ".join(f"{k}: {self.probabilities[k]:.3f}" for k in best)
+        return f"likeliest={{{texts}}}"
 
     def _likeliest_objects(self) -> str:
         objects = self.objects or ()
-        listed = [
-            f"{found.label!r} at ({found.x:.1f}, {found.y:.1f})" for found in objects[:LIKELIEST]
+        texts = [
+            f"{thing.label!r} at ({thing.x:.1f}, {thing.y:.1f})" for thing in objects[:LIKELIEST]
         ]
-        n_more = len(objects) - len(listed)
+        n_more = len(objects) - len(texts)
         if n_more:
-            listed.append(f"{n_more} more")
-        return f"objects=[{', '.join(listed)}]"
+            texts.append(f"{n_more} more")
+        return f"objects=[{', '.join(texts)}]"
 
     def to_dict(self) -> dict[str, Any]:
-        """A dictionary of plain values, for JSON: no logits, and probabilities to six decimals.
+        """A dictionary of plain values, for JSON.
 
-        With a map model it has `objects` in place of `probabilities`.
+        It has no logits, and has probabilities to six decimals. With a map model it has `objects`
+        in place of `probabilities`.
         """
         values: dict[str, Any] = {
             "time_us": self.time_us,
@@ -129,7 +130,7 @@ class Decision:
         if self.objects is None:
             values["probabilities"] = [round(float(p), 6) for p in self.probabilities]
         else:
-            values["objects"] = [found.to_dict() for found in self.objects]
+            values["objects"] = [thing.to_dict() for thing in self.objects]
         values["events"] = self.events
         values["complete"] = self.complete
         values["trigger"] = self.trigger
@@ -142,7 +143,7 @@ def class_of_recording(classes: Sequence[str], windows: Sequence[np.ndarray]) ->
     classes : names of the classes.
     windows : probabilities of the classes in the last decision of each window.
     """
-    mean = np.mean(windows, axis=0)
-    best = int(mean.argmax())
+    mean_probabilities = np.mean(windows, axis=0)
+    best = int(mean_probabilities.argmax())
     n_windows = "1 window" if len(windows) == 1 else f"{len(windows)} windows"
-    return classes[best], f"mean probability {mean[best]:.3f} of {n_windows}"
+    return classes[best], f"mean probability {mean_probabilities[best]:.3f} of {n_windows}"

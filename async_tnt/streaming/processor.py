@@ -50,7 +50,7 @@ from async_tnt.volume.volume import TNTVolume
 
 
 def _recovering(method: Method) -> Method:
-    """A method that makes the Processor's state consistent again after an exception in it."""
+    """Decorate a method so that an exception in it leaves the Processor's state consistent."""
 
     @functools.wraps(method)
     def recovering(self: Any, *args: Any, **kwargs: Any) -> Any:
@@ -116,17 +116,17 @@ class Processor(TriggerAttributes):
     __slots__ = (
         "__weakref__",
         "_accepts_late",
-        "_begun_for",
-        "_by_event",
         "_classifier",
+        "_decides_by_event",
+        "_decides_in_stretches",
         "_decoder",
         "_direct_volume",
-        "_in_stretches",
+        "_known_oldest",
         "_late_before_us",
         "_read_one",
         "_restarts",
         "_running",
-        "_seen_us",
+        "_stream_time_us",
         "_triggers",
         "_windows",
         "config",
@@ -186,7 +186,7 @@ class Processor(TriggerAttributes):
         self._begin_oldest(-1)
         if self.start_us is not None:
             self._open_windows(self.start_us)
-            self._seen_us = -1  # no event has come
+            self._stream_time_us = -1  # no event has come
 
     def push(self, events: Any) -> list[Decision]:
         """Process a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
@@ -234,8 +234,7 @@ class Processor(TriggerAttributes):
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """`push` for one event.
 
-        `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
-        or -1 or +1.
+        `t` is in microseconds, `x` and `y` are in pixels. The polarity `p` is 0 or 1, or -1 or +1.
         """
         # the lines of `Running.begin`: a call of this method would take another 30 ns
         running = self._running
@@ -246,22 +245,22 @@ class Processor(TriggerAttributes):
             volume = self._direct_volume
             if volume is None:
                 return self._take_watched(self._decoder.decode_one(t, x, y, p, False))
-            n_before = volume.n_events if self._by_event else -1
-            answer = volume.absorb_one(t, x, y, p)
-            # the usual case: no single event makes a decision due
-            if answer == ABSORBED and n_before < 0:
+            n_before = volume.n_events if self._decides_by_event else -1
+            outcome = volume.absorb_one(t, x, y, p)
+            # the usual case, in which no single event makes a decision due
+            if outcome == ABSORBED and n_before < 0:
                 return []
 
             decisions: list[Decision] = []
-            if answer == AT_LIMIT:
+            if outcome == AT_LIMIT:
                 self._advance(t, decisions)
                 n_before = volume.n_events
-                answer = volume.absorb_one(t, x, y, p)
-            if answer == LATE:
+                outcome = volume.absorb_one(t, x, y, p)
+            if outcome == LATE:
                 return decisions + self._look_at_late(t, x, y, p)
-            if answer != ABSORBED:
+            if outcome != ABSORBED:
                 return decisions + self._take_watched(self._decoder.decode_one(t, x, y, p, False))
-            if self._by_event:
+            if self._decides_by_event:
                 self._accept(self._decide_if_due(n_before), volume.newest_us, decisions)
             return decisions
         except BaseException:
@@ -280,7 +279,7 @@ class Processor(TriggerAttributes):
         windows.recover()
         self._triggers.set(self._triggers.settings)
         self._choose_ways()
-        if self._begun_for != self._oldest_window():
+        if self._known_oldest != self._oldest_window():
             self._begin_oldest(self._newest_us)
         self._triggers.n_at_decision = min(self._triggers.n_at_decision, windows.oldest.n_events)
         windows.set_limit(self._triggers.next_due_us)
@@ -293,7 +292,7 @@ class Processor(TriggerAttributes):
         return windows.oldest, windows.oldest.start_us
 
     def _take_watched(self, columns: Columns) -> list[Decision]:
-        """Add checked events. If the first of them is late, a restart is looked for before."""
+        """Add checked events. If the first of them is late, look for a restart before."""
         if self._decoder.first_us >= self._late_before_us:
             return self._absorb(self._decoder.apply_policy(columns))
         watch = self._restarts
@@ -315,7 +314,7 @@ class Processor(TriggerAttributes):
     @property
     def _newest_us(self) -> int:
         """Time of the newest event so far; -1 if there was none."""
-        return max(self._seen_us, self._windows.oldest.newest_us)
+        return max(self._stream_time_us, self._windows.oldest.newest_us)
 
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
         """End the stream, and begin another one.
@@ -331,16 +330,17 @@ class Processor(TriggerAttributes):
         return decisions
 
     def _absorb(self, columns: Columns) -> list[Decision]:
-        """Add checked events and make the decisions that become due."""
+        """Add checked events, and return the decisions that became due."""
         windows = self._windows
         decisions: list[Decision] = []
         first = 0
         n = columns.n
-        # a window is full before the first event if the classifier raised an error at its end
+        # If the classifier raised an error at a window's end, the window is full before the first
+        # event.
         while first < n or windows.is_full:
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
-            if self._by_event:
+            if self._decides_by_event:
                 first = self._absorb_until_decision(columns, first, decisions)
             else:
                 first = windows.absorb(columns, first, n)
@@ -349,7 +349,7 @@ class Processor(TriggerAttributes):
                 self._close_oldest(windows.oldest.newest_us, decisions)
             elif first < n and len(windows):
                 is_due = self._triggers.next_due_us < windows.oldest_end_us
-                if is_due and self._in_stretches and n - first >= STRETCH:
+                if is_due and self._decides_in_stretches and n - first >= STRETCH:
                     first = self._absorb_stretch(columns, first, decisions)
                 else:
                     self._advance(int(columns.t[first]), decisions)
@@ -363,7 +363,7 @@ class Processor(TriggerAttributes):
         Compiled code goes on after a decision that does not close the window. Returns the first
         event not added.
         """
-        if self._in_stretches:
+        if self._decides_in_stretches:
             return self._absorb_stretch(columns, first, decisions)
         windows = self._windows
         oldest = windows.oldest
@@ -383,13 +383,13 @@ class Processor(TriggerAttributes):
         """
         oldest = self._windows.oldest
         self._windows.begin_sharing(columns, first)
-        absorbed, new, error = self._classifier.decide_stretch(
+        absorbed, new_decisions, error = self._classifier.decide_stretch(
             oldest, self._triggers.state, columns, first, columns.n
         )
         self._windows.share()
         if error is not None:
             raise error
-        self._accept(new, oldest.newest_us, decisions)
+        self._accept(new_decisions, oldest.newest_us, decisions)
         return absorbed
 
     def _decide_if_due(self, n_before: int) -> list[Decision]:
@@ -405,25 +405,28 @@ class Processor(TriggerAttributes):
         decision = self._classifier.decide(
             oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
         )
-        # with `confidence` alone, each event is classified, but only a sure answer is a decision
+        # With `confidence` alone, the window is classified after each event, but only an answer
+        # that reaches the confidence is a decision.
         if why == ONLY_IF_SURE and not decision.complete:
             return []
         return [decision]
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
-        """Let time pass to `t_us`: `every_us` fires, windows close and open on the way."""
+        """Let time pass to `t_us`. On the way, `every_us` fires, and windows close and open."""
         windows = self._windows
         triggers = self._triggers
         while len(windows):
             oldest = windows.oldest
             end_us = windows.oldest_end_us
             if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
-                new = []
+                new_decisions = []
                 if oldest.n_events > triggers.n_at_decision:
                     confidence = triggers.settings.confidence
-                    new = [self._classifier.decide(oldest, "every_us", confidence=confidence)]
+                    new_decisions = [
+                        self._classifier.decide(oldest, "every_us", confidence=confidence)
+                    ]
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
-                self._accept(new, t_us, decisions)
+                self._accept(new_decisions, t_us, decisions)
             elif end_us <= t_us:
                 self._close_oldest(end_us, decisions)
             else:
@@ -431,13 +434,13 @@ class Processor(TriggerAttributes):
         self._open_windows(t_us)
 
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
-        """Decide about the oldest window, unless it is empty, and close it. It is complete."""
+        """Decide about the complete oldest window, unless it is empty, and close it."""
         oldest = self._windows.oldest
-        # The decision is made before the window is closed: if the classifier raises an error, the
-        # window stays open.
+        # The decision is made before the window is closed, so that the window stays open if the
+        # classifier raises an error.
         if oldest.n_events:
             decisions.append(self._classifier.decide(oldest, "window", complete=True))
-        self._seen_us = max(self._newest_us, now_us)
+        self._stream_time_us = max(self._newest_us, now_us)
         self._windows.close_oldest()
         self._begin_oldest(now_us)
 
@@ -453,7 +456,7 @@ class Processor(TriggerAttributes):
         if new:
             self._triggers.n_at_decision = new[-1].events
         if new and new[-1].complete:
-            self._seen_us = max(self._newest_us, now_us)
+            self._stream_time_us = max(self._newest_us, now_us)
             self._windows.close_oldest(early=True)
             self._begin_oldest(now_us)
             self._windows.set_limit(self._triggers.next_due_us)
@@ -464,14 +467,14 @@ class Processor(TriggerAttributes):
         now_us : a time at or after all events so far.
         """
         windows = self._windows
-        self._seen_us = now_us
+        self._stream_time_us = now_us
         self._late_before_us = NEVER_US if self._restarts.looks_at_all else windows.late_before_us
         if len(windows):
             start_us = windows.oldest.start_us
             self._triggers.begin_window(max(now_us, start_us), start_us)
         else:
             self._triggers.begin_window(now_us, None)
-        self._begun_for = self._oldest_window()
+        self._known_oldest = self._oldest_window()
 
     def fire(self) -> Decision:
         """Classify the open window as it is now, without any change to the stream.
@@ -505,7 +508,7 @@ class Processor(TriggerAttributes):
             oldest = self._windows.oldest
             if oldest.n_events:
                 decisions.append(self._classifier.decide(oldest, "end"))
-            self._seen_us = newest_us
+            self._stream_time_us = newest_us
             self._windows.close_oldest()
             self._begin_oldest(newest_us)
         return decisions
@@ -580,18 +583,21 @@ class Processor(TriggerAttributes):
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _choose_ways(self) -> None:
-        """Choose the code paths for events that fit the settings."""
+        """Choose how events are absorbed, as the settings and the classifier allow."""
         settings = self._triggers.settings
         overlap = self._windows.overlap
-        # the only volume, to which single events go without the decoder; None: single events need
-        # the decoder
-        is_direct = not overlap and self._accepts_late
-        self._direct_volume: TNTVolume | None = self._windows.oldest if is_direct else None
-        self._by_event = settings.by_event
-        # With overlap and `every_us`, time would have to pass for several windows at once.
-        by_time_and_overlap = overlap and settings.every_us is not None
-        self._in_stretches = self._classifier.decides_in_stretches and not by_time_and_overlap
-        if self._in_stretches and (settings.by_event or settings.every_us is not None):
+        # With one volume that takes late events, single events go to the volume without the
+        # decoder. `_direct_volume` is this volume, or None if single events need the decoder.
+        needs_no_decoder = not overlap and self._accepts_late
+        self._direct_volume: TNTVolume | None = self._windows.oldest if needs_no_decoder else None
+        self._decides_by_event = settings.by_event
+        # With overlap and `every_us`, time passes for several windows at once, which the compiled
+        # call cannot do.
+        times_several_windows = overlap and settings.every_us is not None
+        self._decides_in_stretches = (
+            self._classifier.decides_in_stretches and not times_several_windows
+        )
+        if self._decides_in_stretches and (settings.by_event or settings.every_us is not None):
             self._classifier.prepare_stretches()
 
     @one_at_a_time
@@ -654,5 +660,5 @@ class Processor(TriggerAttributes):
     def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
         for name, value in state[1].items():
             setattr(self, name, value)
-        # this process has perhaps compiled nothing yet
+        # this prepares kernels, as this process has perhaps compiled nothing yet
         self._choose_ways()

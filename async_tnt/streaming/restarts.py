@@ -1,4 +1,4 @@
-"""The detection of restarts: the clock of a source begins again.
+"""The detection of restarts. At a restart, the clock of a source begins again.
 
 A restart happens if a recording is read twice, if a camera is plugged in again, or if a counter
 wraps.
@@ -44,8 +44,8 @@ class RestartWatch:
     Attributes
     ----------
     on_restart : the parameter.
-    looks_at_all : whether every packet is to be looked at, not only one that begins with a late
-        event.
+    looks_at_all : whether every packet is to be looked at, and not only packets that begin with a
+        late event.
     waiting : copies of the newest packets while all their events are behind: they may be the first
         packets after a restart.
     """
@@ -62,8 +62,8 @@ class RestartWatch:
     def reset(self) -> None:
         """Forget the stream."""
         self.waiting: list[Columns] = []
-        # newest time, and number of events in the window, when the last packet had been used
-        self._before = (-1, 0)
+        # newest time, and number of events in the window, after the last packet was used
+        self._last_use = (-1, 0)
         self._has_warned = False
 
     def look(self, columns: Columns, newest_us: int, n_events: int) -> int | None:
@@ -77,35 +77,37 @@ class RestartWatch:
 
         Returns
         -------
-        int : the event with which a new stream begins. 0 also if the new stream begins with an
-            event in `waiting`. None: go on with the packet as it is.
+        int : the event with which a new stream begins. It is 0 also if the new stream begins with
+            an event in `waiting`. None: go on with the packet as it is.
 
         Raises
         ------
         ValueError : there is a restart, and `on_restart` is "raise".
         """
-        # other events were used in between: the events that waited were only late
-        if self.waiting and (newest_us, n_events) != self._before:
+        # If other events were used since the last look, the events that waited were only late.
+        if self.waiting and (newest_us, n_events) != self._last_use:
             self.waiting = []
-        self._before = (newest_us, n_events)
+        self._last_use = (newest_us, n_events)
         t = columns.t[: columns.n]
         begins_behind = t.item(0) < newest_us - self._behind_us
         if self._has_warned or not (self.looks_at_all or begins_behind):
             self.waiting = []
             return None
 
+        # for each event, the newest time up to it
         newest = np.maximum.accumulate(np.maximum(t, newest_us))
         is_behind = t < newest - self._behind_us
         if not is_behind[0]:
             self.waiting = []
 
-        # Events behind, in rows. The first row may have begun with the packets that wait.
+        # Events that are behind, in rows without a gap. The first row may have begun with the
+        # packets that wait.
         starts, lengths = _rows(is_behind)
         if self.waiting:
             lengths[0] += sum(packet.n for packet in self.waiting)
-        found = np.flatnonzero(lengths >= ENOUGH)
-        if len(found):
-            return self._found(columns, int(starts[found[0]]), newest_us)
+        long_rows = np.flatnonzero(lengths >= ENOUGH)
+        if len(long_rows):
+            return self._answer_restart(columns, int(starts[long_rows[0]]), newest_us)
 
         if is_behind.all():
             self.waiting.append(part_of(columns, 0, columns.n, copy=True))
@@ -117,9 +119,9 @@ class RestartWatch:
 
     def note(self, newest_us: int, n_events: int) -> None:
         """Note the newest time and the number of events once the packet has been used."""
-        self._before = (newest_us, n_events)
+        self._last_use = (newest_us, n_events)
 
-    def _found(self, columns: Columns, first: int, newest_us: int) -> int | None:
+    def _answer_restart(self, columns: Columns, first: int, newest_us: int) -> int | None:
         """Warn, raise or reset because of a restart at the event `first`, or in `waiting`."""
         if first > 0:
             self.waiting = []
@@ -168,6 +170,8 @@ def part_of(columns: Columns, first: int, last: int, *, copy: bool = False) -> C
 
 def _rows(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where rows of True begin in a bool array, and how long each row is."""
+    # +1 where a row begins, and -1 just behind its end
     steps = np.diff(flags.astype(np.int8), prepend=0, append=0)
     starts = np.flatnonzero(steps == 1)
-    return starts, np.flatnonzero(steps == -1) - starts
+    ends = np.flatnonzero(steps == -1)
+    return starts, ends - starts

@@ -24,8 +24,8 @@ from async_tnt.volume.regressor import Regressor
 PIECE = 256
 """Number of events that `volumes` pushes at once.
 
-The volumes of all windows that one push closes lie in memory together. So few events close few
-windows; the volumes of a long packet might not fit into the memory."""
+The volumes of all windows that one push closes lie in memory together, and those of a long packet
+might not fit. A piece is short, because few events close few windows."""
 
 
 class Settings(TypedDict, total=False):
@@ -59,8 +59,8 @@ def stream(
     model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its
         landmark needs one), or a Processor, which continues its stream.
     finish : decide about the windows that are still open when the source ends, and close them.
-        Events of these windows that come later are late. False: leave them open for the next source
-        that goes to the same Processor.
+        Events of these windows that come later are late. False: leave the windows open for the next
+        source that goes to the same Processor.
     settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`,
         `late`, `on_restart`, ...
 
@@ -76,7 +76,7 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    # The Processor is made here, not in the generator: errors come before the first event.
+    # The Processor is made here, not in the generator, so that errors come before the first event.
     processor = as_processor(model, **settings)
     return _stream(source, processor, finish)
 
@@ -118,7 +118,7 @@ def astream(
     if not hasattr(source, "__aiter__"):
         got = f"{type(source).__name__}; `stream` takes iterables that are not"
         raise ParameterTypeError("source", "must be asynchronous", got)
-    # The Processor is made here, not in the generator: errors come before the first event.
+    # The Processor is made here, not in the generator, so that errors come before the first event.
     processor = as_processor(model, **settings)
     return _astream(source, processor, finish)
 
@@ -178,18 +178,22 @@ def volumes(
     _check_source(source)
     late = settings.pop("late", "accept")
     decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
-    waiting: list[np.ndarray] = []
+    kept_volumes: list[np.ndarray] = []
 
     def keep(volume: np.ndarray) -> list[float]:
-        """Keep the volume. The function stands in place of a classifier, and decides nothing."""
-        waiting.append(volume.copy())
+        """Keep a copy of the volume. The function takes the place of a classifier.
+
+        Its one logit is the same for all windows, so it decides nothing.
+        """
+        kept_volumes.append(volume.copy())
         return [0.0]
 
     settings["classifier"] = keep
-    # The Processor is made here, not in the generator: errors come before the first event.
+    # `stream` makes the Processor here, not in the generator, so that errors come before the first
+    # event.
     decisions = stream(_pieces(source, decoder), config, **settings)
     return (
-        WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)
+        WindowVolume(kept_volumes.pop(0), decision.window_start_us, decision.events)
         for decision in decisions
     )
 
@@ -198,9 +202,9 @@ def _pieces(source: Iterable[Any], decoder: EventDecoder) -> Iterator[tuple[Any,
     """The events of a source, at most PIECE of them at once."""
     accepts_late = decoder.late == "accept"
     for packet in source:
-        # a single event of Python integers goes the quick way
-        is_four = type(packet) is tuple and len(packet) == 4
-        if is_four and accepts_late and type(packet[0]) is int:
+        # a single event of Python integers is pushed as it is, which is quick
+        has_four = type(packet) is tuple and len(packet) == 4
+        if has_four and accepts_late and type(packet[0]) is int:
             yield packet
             continue
         columns = decoder.decode(packet)

@@ -36,11 +36,11 @@ class TriggerSettings:
     confidence: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in self._given().items():
-            # frozen: a plain assignment is refused
+        for name, value in self._set_values().items():
+            # The dataclass is frozen, so a plain assignment is refused.
             object.__setattr__(self, name, _CHECKS[name](name, value))
 
-    def _given(self) -> dict[str, Any]:
+    def _set_values(self) -> dict[str, Any]:
         """Name -> value of each trigger that is set."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
@@ -52,12 +52,12 @@ class TriggerSettings:
 
     @property
     def each_event(self) -> bool:
-        """Whether `confidence` is checked after every event, as no other trigger is set."""
-        return self._given().keys() == {"confidence"}
+        """Whether `confidence` is checked after every event, because no other trigger is set."""
+        return self._set_values().keys() == {"confidence"}
 
 
 def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: int = 3) -> None:
-    """Warn of a trigger that never fires, as no window is long enough for it.
+    """Warn of a trigger that never fires, because no window is long enough for it.
 
     An `every_us` that equals the window's duration is no mistake: a decision is made at the end of
     each window. The same holds for an `every_events` that equals the number of a window's events.
@@ -69,13 +69,13 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
 
     if every_us is not None and every_us > window_us:
         name = "every_us"
-        what = f"= {every_us} is longer than a window, {window_us} us"
+        problem = f"= {every_us} is longer than a window, {window_us} us"
     elif window_events is not None and every_events is not None and every_events > window_events:
         name = "every_events"
-        what = f"= {every_events} is more than a window has, {window_events}"
+        problem = f"= {every_events} is more than a window has, {window_events}"
     else:
         return
-    rule = f"{what}: it never makes a decision due, windows are decided at their ends"
+    rule = f"{problem}: it never makes a decision due, windows are decided at their ends"
     warnings.warn(ParameterWarning(name, rule), stacklevel=stacklevel)
 
 
@@ -85,7 +85,7 @@ class Triggers:
     Attributes
     ----------
     settings : TriggerSettings.
-    state : float64, the settings and what changes, as kernels read them: see
+    state : float64, the settings and what the triggers remember, as kernels read them, see
         `kernels.decisions.trigger`.
     """
 
@@ -116,14 +116,14 @@ class Triggers:
         self._prepare()
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
-        """Note that the window which starts at `start_us` is the oldest now; None: none is open."""
+        """Note that the oldest window now starts at `start_us`; None: no window is open."""
         self.n_at_decision = 0
         self._ints[T.DUE_US] = NEVER_US
         if start_us is not None:
             self.schedule(now_us, start_us)
 
     def schedule(self, now_us: int, start_us: int) -> None:
-        """Set the next moment of `every_us` after `now_us` in the window from `start_us` on."""
+        """Set the next moment of `every_us` after `now_us`, in the window from `start_us` on."""
         T.schedule.call(self.state, now_us, start_us)
 
     @property
@@ -158,7 +158,8 @@ class TriggerAttributes:
         before = self._triggers.settings
         self._set_triggers(replace(before, **changes))
         if self._triggers.settings != before:
-            # The warning names the user's line, which is above this method and the setter.
+            # The level that names the user's line: 1 is `warn_if_never_due`, 2 this method, 3 the
+            # setter, 4 the user.
             warn_if_never_due(self._triggers.settings, self.config, stacklevel=4)
 
     @property
@@ -198,12 +199,16 @@ class TriggerAttributes:
         self._change(confidence=confidence)
 
 
-def _level(name: str, value: Any) -> float:
+def _probability(name: str, value: Any) -> float:
     number = real_number(name, value)
     if not 0 < number <= 1:
         raise ParameterValueError(name, "must be a probability in (0, 1]", short(value))
     return number
 
 
-_CHECKS = {"every_us": positive_int, "every_events": positive_int, "confidence": _level}
+_CHECKS = {
+    "every_us": positive_int,
+    "every_events": positive_int,
+    "confidence": _probability,
+}
 """Name of a trigger -> check(name, value), which returns the value as it is kept."""

@@ -35,11 +35,11 @@ TRIGGER_NAMES: dict[int, Trigger] = {
     T.BY_CONFIDENCE: "confidence",
     T.BY_TIME: "every_us",
 }
-"""Why a kernel says that a decision is due -> the trigger of the Decision."""
+"""Number of the cause, as a kernel states it -> trigger of the Decision."""
 ROWS = 256
-"""Most decisions that one compiled call makes."""
+"""The most decisions that one compiled call makes."""
 STRETCH = 500
-"""Fewest events for which one compiled call saves time where decisions are due by time alone."""
+"""The fewest events for which one compiled call saves time, if decisions are due by time alone."""
 
 
 class WindowClassifier:
@@ -76,12 +76,13 @@ class WindowClassifier:
     def exchange(self, classifier: Classifier, confidence: float | None = None) -> None:
         """Use another callable from now on.
 
-        It must take volumes of the configuration's shape, and fit `confidence` if that is set.
+        The callable must take volumes of the configuration's shape. If `confidence` is set, the
+        callable must not find objects.
         """
         if not callable(classifier):
             raise ParameterTypeError("classifier", "must be callable", type(classifier).__name__)
         reader: ObjectReader | None = None
-        # subclasses may behave differently
+        # a subclass may behave differently, so it is called as any other callable
         compiled = classifier if type(classifier) is CompiledClassifier else None
         if compiled is not None:
             self._check_compiled(compiled)
@@ -92,14 +93,16 @@ class WindowClassifier:
                 reader = ObjectReader(shape)
         _check_confidence(reader, confidence)
         tracks = self._new_tracks(reader, classifier)
-        in_stretches = compiled is not None and reader is None and not self._config.needs_replay
+        decides_in_stretches = (
+            compiled is not None and reader is None and not self._config.needs_replay
+        )
 
         # plain assignments in a row: no exception, such as Ctrl-C, can come between them
         self.classifier = classifier
         self._compiled = compiled
         self._reader = reader
         self._tracks = tracks
-        self.decides_in_stretches = in_stretches
+        self.decides_in_stretches = decides_in_stretches
         self._prepare()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -107,14 +110,14 @@ class WindowClassifier:
         self._prepare()  # perhaps in another process
 
     def _prepare(self) -> None:
-        """Compile the kernels for other classifiers than our own, so that no event waits for it."""
+        """Compile the kernels that a foreign classifier needs, so that no event waits for them."""
         if self._compiled is None:
             prepare(softmax, cells_to_float32)
             if self._reader is not None:
                 prepare(locate_on_map)
 
     def prepare_stretches(self) -> None:
-        """Compile the kernel of `decide_stretch`, so that no event waits for that."""
+        """Compile the kernel of `decide_stretch`, so that no event waits for the compiler."""
         assert self._compiled is not None
         self._compiled.prepare_stretches()
 
@@ -143,13 +146,13 @@ class WindowClassifier:
             self._tracks[0, [N_KNOWN, NEXT_NUMBER]] = 0
 
     def _new_tracks(self, reader: ObjectReader | None, classifier: Classifier) -> np.ndarray:
-        """Room for the objects that are remembered; none is known yet."""
+        """Memory for the objects of earlier decisions; no object is known yet."""
         if reader is None:
             return np.empty((0, 4))
         shape = reader.shape
         places = getattr(classifier, "places", None) or even_places(shape, self._config.sensor)
         tracks = new_tracks(places, shape, self._config.window_us)
-        # the numbering goes on: no number is given twice in a stream
+        # The numbering goes on, so that no number is given twice in a stream.
         if len(self._tracks):
             tracks[0, NEXT_NUMBER] = self._tracks[0, NEXT_NUMBER]
         return tracks
@@ -195,7 +198,7 @@ class WindowClassifier:
             index = softmax.call(logits, probabilities) if logits.size else -1
 
         if index < 0 and logits.size:
-            raise _not_finite(logits)
+            raise _not_finite_error(logits)
         classes = self._classes_for(logits.size)
         if confidence is not None and probabilities[index] >= confidence:
             trigger = "confidence"
@@ -253,8 +256,8 @@ class WindowClassifier:
     ) -> Decision:
         """The decision of a map on which the reader has found `n` objects.
 
-        n : -1 if a logit is not finite.
-        window : start, time of the newest event, number of events.
+        n : number of objects; -1 if a logit is not finite.
+        window : start of the window, time of the newest event, number of events.
         """
         if n < 0:
             got = "some on its map that are not"
@@ -310,8 +313,8 @@ class WindowClassifier:
 
         blocks = []
         absorbed = first
-        end = FULL
-        while end == FULL:
+        outcome = FULL
+        while outcome == FULL:
             # These arrays have room for the decisions of most packets. If they are full, the next
             # call goes on with new arrays.
             n_rows = last - absorbed
@@ -320,7 +323,7 @@ class WindowClassifier:
             logits = np.empty((min(ROWS, n_rows), n_classes), np.float32)
             probabilities = np.empty(logits.shape)
             notes = np.empty((len(logits), DECISION_FIELDS), np.int64)
-            absorbed, n, end = compiled.decide_stretch(
+            absorbed, n, outcome = compiled.decide_stretch(
                 volume.buffer, columns, absorbed, last, triggers, logits, probabilities, notes
             )
             blocks.append((notes[:n].tolist(), probabilities, logits))
@@ -341,13 +344,13 @@ class WindowClassifier:
                     TRIGGER_NAMES[why],
                 )
                 decisions.append(decision)
-        error = _not_finite(logits[n]) if end == NOT_FINITE else None
+        error = _not_finite_error(logits[n]) if outcome == NOT_FINITE else None
         return absorbed, decisions, error
 
     def _classes_for(self, n: int, *, is_map: bool = False) -> tuple[str, ...]:
         """The class names of `n` logits; made at the first answer if none were given.
 
-        is_map : the answer is a map, which has one channel more than classes.
+        is_map : whether the answer is a map. A map has one channel more than there are classes.
         """
         if n == 0:
             raise ParameterValueError("classifier", "must return logits", "none")
@@ -370,6 +373,6 @@ def _check_confidence(reader: ObjectReader | None, confidence: float | None) -> 
         raise ParameterValueError("confidence", rule)
 
 
-def _not_finite(logits: np.ndarray) -> ParameterValueError:
+def _not_finite_error(logits: np.ndarray) -> ParameterValueError:
     got = short(logits.tolist())
     return ParameterValueError("classifier", "must return finite logits", got)

@@ -30,11 +30,11 @@ from async_tnt.volume.state import MAX_EVENTS
 from async_tnt.volume.volume import TNTVolume
 
 MAX_OPEN_WINDOWS = 256
-"""Most windows that may be open at once."""
+"""The most windows that may be open at once."""
 N_JUDGED = 32
 """Number of windows at the beginning of a stream by which the unit of its times is judged."""
 FEW_EVENTS = 2
-"""Events that are too few for a window."""
+"""Up to this many events are too few for a window."""
 
 
 class _Sharing(NamedTuple):
@@ -44,7 +44,7 @@ class _Sharing(NamedTuple):
     first: int
     counts: tuple[int, int, int]
     """The scheduler's counts before these events: received, late, dropped_decided."""
-    of_oldest: tuple[int, int]
+    oldest_counts: tuple[int, int]
     """The oldest window's counts before these events: late, dropped_decided."""
     received: np.ndarray
     """Number of events that each window had received before these events, int64."""
@@ -88,7 +88,7 @@ class WindowScheduler:
         self.regressor = regressor
         n_volumes = math.ceil(config.window_us / self.hop_us)
         self.volumes = [TNTVolume(config, regressor=regressor) for _ in range(n_volumes)]
-        # Stored events are not absorbed before a volume is read.
+        # Where events are stored for a replay, they are not absorbed before a volume is read.
         self._absorbs_at_once = self.overlap and not config.needs_replay
         self._share_memory()
         self.reset()
@@ -98,7 +98,7 @@ class WindowScheduler:
         self._share_memory()
 
     def _share_memory(self) -> None:
-        """Lay the states of overlapping windows side by side, for one compiled call for all."""
+        """Lay the states of overlapping windows side by side, so that one call takes them all."""
         if not self._absorbs_at_once:
             return
         prepare(absorb_into_others)
@@ -167,7 +167,7 @@ class WindowScheduler:
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows, up to the limit; returns the first event not added."""
-        # the usual case, without the counts that sharing needs
+        # the usual case, which does not need the counts of sharing
         if not self.overlap:
             return self._open[0].absorb(columns, first, last)
         self.begin_sharing(columns, first)
@@ -183,8 +183,8 @@ class WindowScheduler:
         if self.overlap:
             oldest = self._open[0]
             counts = (self._n_received, self._n_late, self._n_dropped_decided)
-            of_oldest = (oldest.n_late, oldest.n_dropped_decided)
-            self._sharing = _Sharing(columns, first, counts, of_oldest, self._received())
+            oldest_counts = (oldest.n_late, oldest.n_dropped_decided)
+            self._sharing = _Sharing(columns, first, counts, oldest_counts, self._received())
 
     def share(self) -> None:
         """Add the events that the oldest window has absorbed since `begin_sharing` to the others.
@@ -200,10 +200,10 @@ class WindowScheduler:
         if n:
             self._absorb_into_others(sharing, sharing.first + n)
         n_received, n_late, n_decided = sharing.counts
-        n_late_of_oldest, n_decided_of_oldest = sharing.of_oldest
+        oldest_n_late, oldest_n_decided = sharing.oldest_counts
         self._n_received = n_received + n
-        self._n_late = n_late + oldest.n_late - n_late_of_oldest
-        self._n_dropped_decided = n_decided + oldest.n_dropped_decided - n_decided_of_oldest
+        self._n_late = n_late + oldest.n_late - oldest_n_late
+        self._n_dropped_decided = n_decided + oldest.n_dropped_decided - oldest_n_decided
         self._sharing = None
 
     def _absorb_into_others(self, sharing: _Sharing, last: int) -> None:
@@ -215,8 +215,8 @@ class WindowScheduler:
                 self._states, rows, sharing.received, *columns[:4], sharing.first, last
             )
             return
-        for volume, before in zip(self._open, sharing.received, strict=True):
-            if volume.n_received == before:
+        for volume, n_before in zip(self._open, sharing.received, strict=True):
+            if volume.n_received == n_before:
                 volume.absorb(columns, sharing.first, last)
 
     def _open_rows(self) -> np.ndarray:
@@ -236,13 +236,14 @@ class WindowScheduler:
 
         If nothing was interrupted, nothing changes.
         """
-        # some windows may lack events that others have received; a window may be half closed
+        # Some windows may lack events that others have received, and a window may be half closed.
         self.share()
         if self._closing is not None and self._closing.volume not in self._open:
             self._finish_closing()
         self._closing = None
 
-        # windows that the exception left half open, or open for an event that was never absorbed
+        # Drop windows that the exception left half open, or open for an event that was never
+        # absorbed.
         self._open = deque(volume for volume in self._open if self._stays_open(volume))
         if not self._open and self._empty_begins_with_event():
             self._next_start_us = None
@@ -279,14 +280,15 @@ class WindowScheduler:
             self._next_start_us = t_us
         start_us = self._next_start_us
 
-        # no window is open, and the next one has ended before `t_us`: empty windows are skipped
+        # If the next window has ended before `t_us`, no window is open. Empty windows are skipped.
         if start_us + self._window_us <= t_us:
+            # up to the first window whose end is after `t_us`
             n_skipped = (t_us - self._window_us - start_us) // self.hop_us + 1
             start_us += n_skipped * self.hop_us
             self._decided_from_us = None
 
         while start_us <= t_us or not self._open:
-            # `open` comes first: it refuses an impossible time, and nothing has changed then.
+            # `open` comes first, because it refuses an impossible time. Nothing has changed then.
             self._free[-1].open(start_us)
             self._open.append(self._free.pop())
             start_us += self.hop_us
@@ -298,16 +300,17 @@ class WindowScheduler:
     def set_limit(self, trigger_us: int) -> None:
         """Make `absorb` stop where a window ends or begins, or at `trigger_us`."""
         if self._open and self._next_start_us is not None:
-            # The others get the events that the oldest one absorbs, and end later.
+            # A limit for the oldest window is enough: the other windows get the events that it
+            # absorbs, and end later.
             limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
             self._open[0].set_limit(limit_us)
 
     def close_oldest(self, early: bool = False) -> None:
-        """Close the oldest window; its volume is empty then, and free for another window.
+        """Close the oldest window. Its volume is then empty, and free for another window.
 
-        early : close it before its end. Events that still arrive for the window are counted as
-            `dropped_decided`. There are no such events for a window of `window_events`: the next
-            window begins with the next event.
+        early : whether the window is closed before its end. Events that still arrive for the window
+            are counted as `dropped_decided`. There are no such events for a window of
+            `window_events`, because the next window begins with the next event.
         """
         volume = self._open[0]
         decided_from_us = None
@@ -334,7 +337,7 @@ class WindowScheduler:
         self._closing = None
 
     def _inform_oldest(self) -> None:
-        """Tell the oldest volume since which time the windows before it were closed early.
+        """Tell the oldest volume from which time on the windows before it were closed early.
 
         The volume needs this time to count late events.
         """
@@ -382,7 +385,7 @@ class TimeUnitCheck:
 
     def __init__(self, config: TNTConfig) -> None:
         self._window_us = config.window_us
-        self._left = N_JUDGED if config.window_events is None else 0
+        self._n_unjudged = N_JUDGED if config.window_events is None else 0
         self._n_small = 0
 
     def watch(self, decisions: list[Decision]) -> list[Decision]:
@@ -390,7 +393,7 @@ class TimeUnitCheck:
 
         Returns the same decisions.
         """
-        if self._left > 0:
+        if self._n_unjudged > 0:
             for decision in decisions:
                 if decision.trigger == "window":
                     self.add(decision.events)
@@ -398,10 +401,10 @@ class TimeUnitCheck:
 
     def add(self, n_events: int) -> None:
         """Note that the next window holds `n_events`; warn when enough windows are known."""
-        self._left -= 1
+        self._n_unjudged -= 1
         if n_events <= FEW_EVENTS:
             self._n_small += 1
-        if self._left == 0 and 2 * self._n_small > N_JUDGED:
+        if self._n_unjudged == 0 and 2 * self._n_small > N_JUDGED:
             warnings.warn(
                 f"{self._n_small} of the first {N_JUDGED} windows hold {FEW_EVENTS} events or "
                 "fewer: times are read as microseconds, divide nanoseconds by 1000; or windows of "

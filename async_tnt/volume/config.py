@@ -40,23 +40,23 @@ TIME_IMAGES: tuple[str, ...] = ("count_time", "mean_time", "time_surface")
 BINS = 9
 """Time bins of a volume, by default."""
 MAX_BINS = 1024
-"""Most time bins of a volume."""
+"""The most time bins of a volume."""
 MAX_SIDE = 1 << 15
-"""Most pixels along one side of a sensor or a grid."""
+"""The most pixels along one side of a sensor or a grid."""
 WINDOW_US = 105_000
 """Length of a window in microseconds, by default: one saccade of N-MNIST."""
 MAX_WINDOW_US = 3600 * 1_000_000
 """Longest window in microseconds, an hour: an int64 then holds the sum of a billion times."""
 MAX_WINDOW_EVENTS = 1 << 30
-"""Most events of a window of `window_events`."""
+"""The most events of a window of `window_events`."""
 MIN_T_MAX = 1e-6
 """Smallest TNT time at the end of a window."""
 MAX_T_MAX = 1e6
 """Largest TNT time at the end of a window."""
 MAX_CELLS = 1 << 28
-"""Most cells of a volume, each a float64: 2 GB. A volume of 1280 x 720 pixels with 256 bins has
-2**27.8. A program may set `async_tnt.volume.config.MAX_CELLS = 1 << 30`, before it makes or loads a
-configuration."""
+"""The most cells of a volume: 2 GB, as each is a float64. A volume of 1280 x 720 pixels with 256
+bins has 2**27.8. A program may set `async_tnt.volume.config.MAX_CELLS = 1 << 30`, before it makes
+or loads a configuration."""
 
 
 @dataclass(frozen=True, init=False)
@@ -73,11 +73,11 @@ class TNTConfig:
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
     window_events : number of events in a window; by default windows have a duration instead. Such a
         window begins with an event, and times are scaled by its newest event, as in the thesis.
-        The newest event is known only when the volume is read: the events are stored, and replayed
-        then. `window_us` is the longest duration of such a window, by default an hour.
+        As the newest event is known only when the volume is read, the events are stored, and
+        replayed then. `window_us` is the longest duration of such a window, by default an hour.
     t_max : TNT time at the end of a window. Positions are divided by TNT time, so an object shrinks
-        by this factor until then. A smaller value loses fewer events over the border early in the
-        window.
+        by this factor until the window's end. A smaller value loses fewer events over the border
+        early in the window.
     landmark : the point that events are normalized about. `center`: the centre of the grid;
         `running`: the centroid of the window's events so far; `line`: the intercept of the running
         regression line of these events; `window`: the centroid of all the window's events when the
@@ -136,7 +136,8 @@ class TNTConfig:
         window_events: int | None = None,
         representation: Representation = "volume",
     ) -> None:
-        # `dataclass` cannot write this method: four arguments may be None, their fields may not
+        # `dataclass` cannot write this method, because four arguments may be None, and their fields
+        # may not.
         _one_of("representation", representation, REPRESENTATIONS)
         is_image = representation != "volume"
         if bins is None:
@@ -164,7 +165,8 @@ class TNTConfig:
             "representation": representation,
         }
         for name, value in checked.items():
-            object.__setattr__(self, name, value)  # frozen: plain assignments are refused
+            # The dataclass is frozen, so a plain assignment is refused.
+            object.__setattr__(self, name, value)
         self._check_flow()
         self._check_image()
         self._check_cells()
@@ -217,7 +219,7 @@ class TNTConfig:
 
     @property
     def needs_regressor(self) -> bool:
-        """Whether a landmark network is used: without the transform, landmarks are ignored."""
+        """Whether a landmark network is used. Without the transform, landmarks are ignored."""
         return self.landmark == "regressor" and self.transform == "tnt"
 
     @property
@@ -229,7 +231,7 @@ class TNTConfig:
     def needs_replay(self) -> bool:
         """Whether events are stored until the volume is read.
 
-        They are stored if the landmark or the window's duration is known only then.
+        They are stored if the landmark or the window's duration is known only when it is read.
         """
         return self.defers_landmark or self.window_events is not None
 

@@ -56,7 +56,7 @@ UNITS_AS = MappingProxyType(
 )
 """NumPy's units of time, in attoseconds."""
 CALENDAR_DAYS = MappingProxyType({"M": 31, "Y": 366})
-"""Most days in a month and in a year of NumPy."""
+"""The most days that a month and a year of NumPy can have."""
 MAX_DEPTH = 4
 """How many times in a row `.numpy()` or `.polarity_events` may return an object that must be
 converted again."""
@@ -94,7 +94,7 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
         if len(events) == 0:
             return None
         _check_four(events)
-        # a named tuple is an object with names, below
+        # a named tuple with these names is read by them, below
         if not has_names:
             t, x, y, p = events
             return _as_column("t", t), _as_column("x", x), _as_column("y", y), _as_column("p", p)
@@ -102,9 +102,9 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
     if depth < MAX_DEPTH and hasattr(events, "polarity_events"):
         return named_columns(events.polarity_events, depth + 1)
     if has_names:
-        have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
-        what = f"a {kind} with attributes {', '.join(have)}"
-        return _columns_by_name(have, what, lambda name: getattr(events, name))
+        attributes = [name for names in NAMES.values() for name in names if hasattr(events, name)]
+        what = f"a {kind} with attributes {', '.join(attributes)}"
+        return _columns_by_name(attributes, what, lambda name: getattr(events, name))
     if depth < MAX_DEPTH and callable(getattr(events, "numpy", None)):
         try:
             array = events.numpy()
@@ -203,7 +203,7 @@ def likely_order(table: np.ndarray, order: str) -> str:
         return order
     for letters in permutations("txyp"):
         other = "".join(letters)
-        # x and y cannot be told apart: x is taken to come first
+        # x and y cannot be told apart, so x is taken to come first.
         x_is_first = other.index("x") < other.index("y")
         if x_is_first and all(_signs(table, other)):
             return other
@@ -260,10 +260,10 @@ def _columns_of_array(events: np.ndarray | np.void) -> Four | None:
 def _check_four(events: tuple[Any, ...] | list[Any]) -> None:
     """Refuse a list of single events, and anything but four columns."""
     first = events[0]
-    is_event = isinstance(first, (dict, np.void))
+    holds_events = isinstance(first, (dict, np.void))
     if isinstance(first, tuple) and len(events) != 4:
-        is_event = True
-    if isinstance(events, list) and is_event:
+        holds_events = True
+    if isinstance(events, list) and holds_events:
         raise TypeError(
             f"a list of single events ({type(first).__name__} at event 0) is not a packet: "
             "pass it to `stream`, event by event, or push four columns (t, x, y, p)"
@@ -279,14 +279,14 @@ def _as_column(field: str, values: Any) -> np.ndarray:
     refuse_mask(field, values, UNMASKED)
     try:
         column = np.atleast_1d(np.asarray(values))
-    except Exception as error:  # whatever a foreign object's __array__ raises
+    except Exception as error:  # a foreign object's `__array__` may raise any error
         raise ValueError(
             f"`{field}` must be a column of whole numbers: {one_line(error)}"
         ) from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
     # NumPy makes floats of Python integers if one of them is beyond int64. As objects they keep
-    # their values: the decoder names the number that does not fit.
+    # their values, so that the decoder can name the number that does not fit.
     may_be_integers = column.dtype.kind == "f" and isinstance(values, (list, tuple))
     if may_be_integers and all(type(value) is int for value in values):
         return np.array(values, object)
@@ -311,8 +311,8 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
             f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds"
         )
 
-    # microseconds = count * factor / divisor. Months and years are taken as long as they can be:
-    # for them, this only decides whether the microseconds fit into int64.
+    # microseconds = count * factor / divisor. Months and years are taken as long as they can be,
+    # because for them this only decides whether the microseconds fit into int64.
     unit_as = CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit]
     step_as = multiple * unit_as
     common = math.gcd(step_as, UNITS_AS["us"])
@@ -320,12 +320,12 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
     divisor = UNITS_AS["us"] // common
 
     count = t.astype(np.int64)
-    beyond = np.abs(count) > min(MAX_INT64, MAX_INT64 * divisor // factor)
-    if beyond.any():
-        i = int(np.argmax(beyond))
-        step = unit if multiple == 1 else f"x {multiple} {unit}"
+    is_too_large = np.abs(count) > min(MAX_INT64, MAX_INT64 * divisor // factor)
+    if is_too_large.any():
+        i = int(np.argmax(is_too_large))
+        written_unit = unit if multiple == 1 else f"x {multiple} {unit}"
         raise ValueError(
-            f"`t` must be in [0, 2**62) microseconds, got {count[i]} {step} at event {i}"
+            f"`t` must be in [0, 2**62) microseconds, got {count[i]} {written_unit} at event {i}"
         )
 
     if in_calendar:
@@ -339,21 +339,23 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
     return np.array(exact, np.int64)
 
 
-def the_name(field: str, have: Collection[str], what: str) -> str:
-    """The one name among `have` that means `field`.
+def the_name(field: str, names: Collection[str], description: str) -> str:
+    """The one name among `names` that means `field`.
 
     Raises
     ------
-    ValueError : no name among `have` means `field`, or several do. `what` describes the events for
-        the message.
+    ValueError : no name among `names` means `field`, or several do. `description` says what the
+        events are, for the message.
     """
-    found = [name for name in have if name in NAMES[field]]
-    if not found:
+    matches = [name for name in names if name in NAMES[field]]
+    if not matches:
         raise ValueError(
-            f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}"
+            f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {description}"
         )
-    if len(found) == 1:
-        return found[0]
-    has_one_name = len(set(found)) == 1
-    got = f"{found[0]} {len(found)} times" if has_one_name else " and ".join(found)
-    raise ValueError(f"events need one field `{field}`, got {got} in {what}; leave out all but one")
+    if len(matches) == 1:
+        return matches[0]
+    has_one_name = len(set(matches)) == 1
+    got = f"{matches[0]} {len(matches)} times" if has_one_name else " and ".join(matches)
+    raise ValueError(
+        f"events need one field `{field}`, got {got} in {description}; leave out all but one"
+    )

@@ -64,10 +64,11 @@ def empty_columns(n: int) -> Columns:
 
 # a module's name is found faster than an attribute of NumPy
 _ARRAY = np.ndarray
-# no other subclasses of arrays: compiled code would not see the mask of a masked array
+# No other subclasses of arrays are taken, because compiled code would not see the mask of a masked
+# array.
 _RECORDS = (np.ndarray, np.memmap, np.recarray)
 _NO_EVENTS = empty_columns(0)
-# what Columns(...) does, without a call of Python code
+# It makes the same tuple as Columns(...), without a call of Python code.
 _new_tuple = tuple.__new__
 
 FIRST_CAPACITY = 1024
@@ -80,8 +81,8 @@ class EventDecoder:
     Parameters
     ----------
     sensor : (width, height) in pixels, at most 2**15 each.
-    late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or
-        `raise`.
+    late : what to do with an event older than the newest event so far: `accept` it, `drop` and
+        count it, or `raise`.
     advice : the end of the message about an event beyond the sensor.
 
     Attributes
@@ -157,8 +158,9 @@ class EventDecoder:
         """`decode` for one event; quick for Python integers."""
         width, height = self.sensor
         try:
+            # `p * 1` makes an integer of a bool
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int
-            valid = (
+            is_valid = (
                 is_plain
                 and 0 <= t < MAX_TIME_US
                 and 0 <= x < width
@@ -166,8 +168,8 @@ class EventDecoder:
                 and -1 <= p <= 1
             )
         except TypeError:
-            valid = False
-        if not valid or (apply_policy and self.late != "accept"):
+            is_valid = False
+        if not is_valid or (apply_policy and self.late != "accept"):
             return self.decode(([t], [x], [y], [p]), apply_policy)
         column_t, column_x, column_y, column_p, _ = self._scratch
         column_t[0] = t
@@ -217,8 +219,8 @@ class EventDecoder:
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
-        # All four types are compared here: Numba's dispatch should refuse a column of the other
-        # byte order, but once it took such a column, which was empty.
+        # All four types are compared here. Numba's dispatch should refuse a column of the other
+        # byte order, but it once took such a column, an empty one.
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
         width, height = self.sensor
@@ -236,31 +238,31 @@ class EventDecoder:
 
         Raises
         ------
-        ValueError : an event is late, and `late` is "raise".
+        ValueError : an event is late, and the policy `late` is "raise".
         """
         if not columns.n or self.late == "accept":
             return columns
         t = columns.t[: columns.n]
-        late = np.empty(t.size, np.bool_)
-        n_late, newest_us = find_late.call(t, self.newest_us, late)
+        is_late = np.empty(t.size, np.bool_)
+        n_late, newest_us = find_late.call(t, self.newest_us, is_late)
         if n_late and self.late == "raise":
-            i = int(np.argmax(late))
+            i = int(np.argmax(is_late))
             newest = max(self.newest_us, int(t[:i].max(initial=-1)))
-            at = f" at event {i}" if t.size > 1 else ""
+            place = f" at event {i}" if t.size > 1 else ""
             raise ValueError(
-                f'`t` must not run backwards (late="raise"), got {t[i]} after {newest}{at}; '
+                f'`t` must not run backwards (late="raise"), got {t[i]} after {newest}{place}; '
                 'late="accept" takes such events, late="drop" drops and counts them'
             )
         self.newest_us = newest_us
         self.n_dropped += n_late
         if not n_late:
             return columns
-        kept = ~late
+        is_kept = ~is_late
         n = columns.n
-        x = columns.x[:n][kept]
-        y = columns.y[:n][kept]
-        p = columns.p[:n][kept]
-        return Columns(t[kept], x, y, p, n - n_late)
+        x = columns.x[:n][is_kept]
+        y = columns.y[:n][is_kept]
+        p = columns.p[:n][is_kept]
+        return Columns(t[is_kept], x, y, p, n - n_late)
 
 
 def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
@@ -342,7 +344,7 @@ def _check_type(field: str, column: np.ndarray) -> None:
     if kind in ("iub" if field == "p" else "iu"):
         return
 
-    # a message about an invalid value comes before a message about the type of the column
+    # An invalid value has a message of its own, which comes before one about the column's type.
     if kind == "f" and not np.isfinite(column).all():
         i = int(np.argmin(np.isfinite(column)))
         raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
@@ -355,8 +357,8 @@ def _check_type(field: str, column: np.ndarray) -> None:
     if column.size:
         value = column[0]
         is_printed = isinstance(value, (str, np.generic))
-        shown = str(value)[:40] if is_printed else type(value).__name__
-        got += f" ({shown} at event 0)"
+        example = str(value)[:40] if is_printed else type(value).__name__
+        got += f" ({example} at event 0)"
     if field == "t" and kind in "fmM":
         raise TypeError(
             f"`t` must be integer microseconds, got {got}; its unit is unknown: "
@@ -373,12 +375,12 @@ def _check_range(
     written_end : the end of the interval and its unit, for the message.
     advice : the end of the message about a number at or above `end`.
     """
-    bad = column >= end
+    is_outside = column >= end
     if column.dtype.kind == "i":
-        bad |= column < 0
-    if not bad.any():
+        is_outside |= column < 0
+    if not is_outside.any():
         return
-    i = int(np.argmax(bad))
+    i = int(np.argmax(is_outside))
     hint = advice if column[i] >= end else ""
     raise ValueError(f"`{field}` must be in [0, {written_end}, got {column[i]} at event {i}{hint}")
 
@@ -406,14 +408,14 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
         return None
     layout: list[int] = []
     for field, names in NAMES.items():
-        found = [name for name in names if name in dtype.names]
-        if len(found) != 1:
+        matches = [name for name in names if name in dtype.names]
+        if len(matches) != 1:
             return None
-        number, offset = dtype.fields[found[0]][:2]
+        number, offset = dtype.fields[matches[0]][:2]
         kind = KIND.get(number.str[1:])
         # the kernel would take a polarity of 2**64 - 1 for -1
-        refused = "u8" if field == "p" else "b1"
-        if kind is None or number.str[0] == ">" or number.str[1:] == refused:
+        refused_type = "u8" if field == "p" else "b1"
+        if kind is None or number.str[0] == ">" or number.str[1:] == refused_type:
             return None
         layout += [offset, kind]
     return np.array([*layout, dtype.itemsize], np.int64)

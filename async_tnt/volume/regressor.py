@@ -16,13 +16,13 @@ Regressor = Callable[[np.ndarray], Any]
 
 
 def check_regressor(config: TNTConfig, regressor: Any) -> None:
-    """Refuse a stream without the regressor that it needs, or with a regressor that it does not.
+    """Refuse a stream that lacks the regressor it needs, or has a regressor that it does not need.
 
     The configuration says whether a regressor is needed.
     """
     if not isinstance(config, TNTConfig):
-        has_one = isinstance(getattr(config, "config", None), TNTConfig)
-        hint = "pass its `config`" if has_one else "load_model(name).config is that of a model"
+        is_model = isinstance(getattr(config, "config", None), TNTConfig)
+        hint = "pass its `config`" if is_model else "load_model(name).config is that of a model"
         raise ParameterTypeError("config", "must be a TNTConfig", f"{short(config)}; {hint}")
 
     setting = f"landmark={config.landmark!r}, transform={config.transform!r}"

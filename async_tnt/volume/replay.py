@@ -26,8 +26,8 @@ from async_tnt.volume.state import MAX_EVENTS, new_state, next_epoch, set_durati
 FIRST_CAPACITY = 4096
 """Number of events that are stored before the memory grows for the first time."""
 MAX_STORED = 1 << 26
-"""Most events that are stored for a window of a duration; they take 870 MB. Without this limit, a
-clock that stands still would fill the memory."""
+"""The most events that are stored for a window of a duration. They take 870 MB. Without this limit,
+a clock that stands still would fill the memory."""
 UNCHANGED_BY_REPLAY = (S.LIMIT_US, S.RECEIVED, S.DECIDED_FROM_US)
 """Slots of a volume's buffer that keep their numbers when its events are replayed."""
 MORE_THAN_THE_LOG_HOLDS = MAX_EVENTS
@@ -71,7 +71,7 @@ class ReplayBuffer:
     @one_at_a_time
     def reset(self) -> None:
         """Forget all stored events."""
-        # The landmark of the newest event; None: it is not known yet.
+        # The landmark after the newest event; None: it is not known yet.
         self._landmark: tuple[float, float] | None = None
         self._is_replayed = True
 
@@ -87,14 +87,14 @@ class ReplayBuffer:
             before_limit = columns.t[first:last] < limit_us
             self._grow(n_before, n_before + int(np.count_nonzero(before_limit)))
 
-        # The landmark is forgotten first, even if no event will be stored: an exception, such as
-        # Ctrl-C, may come right after the kernel.
+        # The landmark is forgotten first, even if no event will be stored, because an exception,
+        # such as Ctrl-C, may come right after the kernel.
         self._landmark = None
         self._is_replayed = False
-        # The memory is a limit, too: another thread may have changed the events' times since the
-        # events were counted.
-        room = min(self._n_most, self._columns.t.size)
-        return int(store_events.call(buffer, *columns[:4], first, last, *self._columns[:4], room))
+        # The memory is a limit, too, because another thread may have changed the events' times
+        # since the events were counted.
+        n_most = min(self._n_most, self._columns.t.size)
+        return int(store_events.call(buffer, *columns[:4], first, last, *self._columns[:4], n_most))
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y), in grid pixels, of a window with events.
@@ -138,7 +138,7 @@ class ReplayBuffer:
         buffer, array : the volume's buffer and its array, see
             `kernels.volume.readout.empty_volume`.
         """
-        # all events that came may have been late: then the window has no events to replay
+        # If all events that came were late, the window has no events to replay.
         if not self._is_replayed and _n_events(buffer):
             self._replay(buffer, array)
 
@@ -163,7 +163,7 @@ class ReplayBuffer:
             absorb.call(buffer, *self._columns[:4], 0, n_events)
             for slot in UNCHANGED_BY_REPLAY:
                 ints[slot] = saved[slot]
-        except BaseException:  # such as Ctrl-C: the next read replays again
+        except BaseException:  # after Ctrl-C, for example, the next read replays again
             ints[: S.NUM_X] = saved
             ints[S.N_LOG] = MORE_THAN_THE_LOG_HOLDS
             raise
@@ -174,7 +174,7 @@ class ReplayBuffer:
         if self._landmark is None:
             self._landmark = self._estimate(buffer)
         if self._regressor is None:
-            # not converted back from the landmark's grid pixels, which are rounded
+            # The centroid is taken again, because the landmark's grid pixels are rounded.
             x, y = _centroid(buffer)
         else:
             x, y = self._config.to_sensor(*self._landmark)

@@ -1,8 +1,8 @@
 """A single event as four Python integers.
 
 Camera libraries and loops over arrays give events one by one, as records, named tuples or NumPy's
-numbers. To treat each as four columns of length one takes about 30 us. To read its numbers takes
-less than one.
+numbers. To treat an event as four columns of length one takes about 30 us. To read its numbers
+takes less than 1 us.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class SingleEventReader:
 
         Returns
         -------
-        None if `event` is a packet, or a single event of another form, which needs a closer look.
+        None if `event` is a packet, or a single event of another form, which the decoder must read.
         """
         if isinstance(event, tuple):
             return _numbers_of_tuple(event)
         if not isinstance(event, np.void):
             return None
         dtype = event.dtype
-        # fields can be renamed in place
+        # The names are compared, too, because fields can be renamed in place.
         if dtype is not self._dtype or dtype.names is not self._names:
             self._dtype = dtype
             self._names = dtype.names
@@ -63,6 +63,7 @@ def _numbers_of_tuple(event: tuple[Any, ...]) -> FourIntegers | None:
     t, x, y, p = event
     if type(t) not in _WHOLE or type(x) not in _WHOLE or type(y) not in _WHOLE:
         return None
+    # a named tuple must have these names in this order
     if type(p) not in _POLARITY or getattr(event, "_fields", _FIELDS) != _FIELDS:
         return None
     return int(t), int(x), int(y), int(p)
@@ -74,12 +75,12 @@ def _places_in(dtype: np.dtype) -> FourIntegers | None:
         return None
     places = []
     for field, names in NAMES.items():
-        found = [name for name in names if name in dtype.names]
-        if len(found) != 1:
+        matches = [name for name in names if name in dtype.names]
+        if len(matches) != 1:
             return None
-        kind = dtype.fields[found[0]][0].kind
+        kind = dtype.fields[matches[0]][0].kind
         if kind not in ("iub" if field == "p" else "iu"):
             return None
-        places.append(dtype.names.index(found[0]))
+        places.append(dtype.names.index(matches[0]))
     t, x, y, p = places
     return t, x, y, p

@@ -19,8 +19,8 @@ COMBINE_OF_IMAGE = {
     "mean_time": S.COMBINE_MEAN,
     "time_surface": S.COMBINE_SURFACE,
 }
-"""Representation -> how an event changes a cell. For representations that are not named here, the
-event is added to the cell."""
+"""Representation -> how an event changes a cell. With all other representations, the event is added
+to the cell."""
 
 _epochs = itertools.count(1)
 

@@ -22,7 +22,7 @@ from async_tnt.volume.single_event import SingleEventReader
 from async_tnt.volume.state import new_state, next_epoch
 
 UNOPENED = -1
-"""LIMIT_US while no window is open: the time of every event is at or after it."""
+"""LIMIT_US while no window is open. The time of every event is at or after this number."""
 COUNTED = (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED)
 """Slots of the buffer that count events since the volume was made."""
 
@@ -92,7 +92,7 @@ class TNTVolume:
         # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
-        # From now on this volume and its original differ: they need different numbers.
+        # From now on this volume and its original differ, so they need different numbers.
         self._ints[S.EPOCH] = next_epoch()
 
     def __copy__(self) -> TNTVolume:
@@ -166,10 +166,9 @@ class TNTVolume:
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update` for one event.
 
-        `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
-        or -1 or +1.
+        `t` is in microseconds, `x` and `y` are in pixels. The polarity `p` is 0 or 1, or -1 or +1.
         """
-        # the lines of the method `absorb_one`: a call of this method would cost another 40 ns
+        # the lines of the method `absorb_one`, because a call of this method would cost 40 ns more
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
             if (
@@ -197,7 +196,7 @@ class TNTVolume:
             late events or stores events for a replay.
         """
         try:
-            # Numba would compile for a bool, a float or a NumPy scalar
+            # The compiled call checks no types, so it gets Python integers only.
             if type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain:
                 answer: int = absorb_one.call(self._buffer, t, x, y, p * 1)  # True becomes 1
                 return answer
@@ -225,6 +224,7 @@ class TNTVolume:
         n_closed = int(self.n_events > 0)
         start_us = t_us
         if self.is_open and self.config.window_events is None:
+            # back to the window's start: windows lie end to end from the open window's start on
             start_us -= (t_us - self.start_us) % self.config.window_us
         self._empty(start_us, start_us + self.config.window_us)
         return n_closed
@@ -232,7 +232,8 @@ class TNTVolume:
     @one_at_a_time
     def reset(self) -> None:
         """Return to the state after construction: no window open, all counts zero."""
-        # The replay is reset first: that is refused while another thread reads the volume.
+        # The replay is reset first, because its reset is refused while another thread reads the
+        # volume. Nothing has changed then.
         if self._replay is not None:
             self._replay.reset()
         self._decoder.reset()
@@ -298,7 +299,7 @@ class TNTVolume:
         x = int(self._ints[S.SUM_X]) / n
         y = int(self._ints[S.SUM_Y]) / n
         if config.landmark == "line":
-            # `_slopes` may replay the window, which sets the sums. So SUM_T is read after it.
+            # SUM_T is read after `_slopes`, which may replay the window and so set the sums.
             slope_x, slope_y = self._slopes()
             mean_f = int(self._ints[S.SUM_T]) / n / float(self._buffer[S.WINDOW_US])
             x -= slope_x * mean_f
@@ -331,14 +332,14 @@ class TNTVolume:
         tau_zero = int(ints[S.TAU_ZERO])
         late = int(ints[S.LATE])
         decided = int(ints[S.DECIDED])
-        # the kernels have not counted the late events that the decoder dropped
-        by_decoder = self._decoder.n_dropped
+        # Late events that the decoder dropped are not counted by the kernels.
+        n_dropped_by_decoder = self._decoder.n_dropped
         return Counts(
-            received=received + by_decoder,
+            received=received + n_dropped_by_decoder,
             kept=kept,
             dropped_outside=received - kept - tau_zero - late - decided,
             dropped_tau_zero=tau_zero,
-            dropped_late=late + by_decoder,
+            dropped_late=late + n_dropped_by_decoder,
             dropped_decided=decided,
         )
 
@@ -352,7 +353,7 @@ class TNTVolume:
 
         The time is the start if the window has no events.
         """
-        # one slice: to read the three one by one takes three times as long
+        # One slice is read, because to read the three numbers one by one takes three times as long.
         slots = self._ints[S.START_US : S.NEWEST_US + 1].tolist()
         start_us = slots[0]
         n = slots[S.N - S.START_US]

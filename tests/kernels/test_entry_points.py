@@ -87,7 +87,7 @@ def test_threads_may_prepare_the_same_kernel():
 COMPILING = """
 import logging, sys
 from async_tnt.kernels import entry_points, jit
-entry_points.SAID_AFTER_S = SECONDS
+entry_points.WARN_AFTER_S = SECONDS
 from async_tnt.kernels.decisions import trigger
 for entry in (trigger.schedule, trigger.until_due, trigger.why_due):
     entry.prepare()

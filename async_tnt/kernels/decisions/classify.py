@@ -26,7 +26,7 @@ NOT_FINITE = 3  # the logits in row n are not all finite
 
 # what `notes` says of a decision
 NOTED_EVENTS = 0  # events of the window
-NOTED_NEWEST_US = 1
+NOTED_NEWEST_US = 1  # time of the newest event of the window
 NOTED_TRIGGER = 2  # why it was due, see `trigger`
 NOTED_CLASS = 3
 DECISION_FIELDS = 4  # numbers in a row
@@ -78,9 +78,9 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
     begin_window(ints[S.EPOCH], program, weights, maps, places)
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
-    at = np.uint64(program[P.OUTPUT])
+    first_logit = np.uint64(program[P.OUTPUT])
     for k in range(logits.size):
-        logits[k] = maps[at + np.uint64(k)]
+        logits[k] = maps[first_logit + np.uint64(k)]
     best = softmax(logits, probabilities)
     take_gil(lock)
     return best
@@ -129,26 +129,27 @@ def absorb_and_decide(
     -------
     first : int. The first event not absorbed.
     n : int. Decisions.
-    end : int. DONE, FULL, CLOSE or NOT_FINITE.
+    outcome : int. DONE, FULL, CLOSE or NOT_FINITE.
     """
     n = 0
-    end = DONE
+    outcome = DONE
     ints = buffer.view(np.int64)
-    times = trigger.view(np.int64)
+    trigger_ints = trigger.view(np.int64)
     end_us = ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
     ints[S.WITHOUT_GIL] = 1
     while first < last:
         if n == len(notes):
-            end = FULL
+            outcome = FULL
             break
 
-        # Absorb up to the next test of a decision, or find that a moment of EVERY_US has come.
+        # Absorb up to the next test of a decision, or find that a moment of EVERY_US or the
+        # window's end has come.
         n_before = ints[S.N]
-        by_time = t[first] >= ints[S.LIMIT_US]
-        if by_time:
-            if times[T.DUE_US] >= end_us:
+        is_at_limit = t[first] >= ints[S.LIMIT_US]
+        if is_at_limit:
+            if trigger_ints[T.DUE_US] >= end_us:
                 break
-            why = T.BY_TIME if n_before > times[T.N_AT_DECISION] else T.NOT_DUE
+            why = T.BY_TIME if n_before > trigger_ints[T.N_AT_DECISION] else T.NOT_DUE
         else:
             stop = T.until_due(trigger, n_before, first, last)
             first = absorb(buffer, t, x, y, p, first, stop)
@@ -159,23 +160,25 @@ def absorb_and_decide(
                 buffer, program, weights, maps, places, logits[n], probabilities[n]
             )
             if best < 0:
-                end = NOT_FINITE
+                outcome = NOT_FINITE
                 break
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
-                times[T.N_AT_DECISION] = ints[S.N]
+                trigger_ints[T.N_AT_DECISION] = ints[S.N]
                 notes[n, NOTED_EVENTS] = ints[S.N]
                 notes[n, NOTED_NEWEST_US] = ints[S.NEWEST_US]
                 notes[n, NOTED_TRIGGER] = why
                 notes[n, NOTED_CLASS] = best
                 n += 1
                 if why == T.BY_CONFIDENCE:
-                    end = CLOSE
+                    outcome = CLOSE
                     break
 
-        if by_time:
+        if is_at_limit:
+            # No event lies between this moment and the next event, so the moments between them need
+            # no decision.
             T.schedule(trigger, min(t[first], end_us), ints[S.START_US])
-            ints[S.LIMIT_US] = min(times[T.DUE_US], end_us)
+            ints[S.LIMIT_US] = min(trigger_ints[T.DUE_US], end_us)
     ints[S.WITHOUT_GIL] = 0
-    return first, n, end
+    return first, n, outcome

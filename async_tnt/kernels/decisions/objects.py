@@ -3,16 +3,17 @@
     score[y, x] = max over classes k of map[k, y, x] - map[nothing, y, x]
     peak[y, x]  = score[y, x] > 0, and no score within NEAR rows and columns is larger
 
-Nothing is the map's last channel. Of equal scores near each other, the first one by rows is the
-peak. Scores and peaks are kept: scores are computed where the map has changed, peaks within NEAR of
-that. Each peak is an object, of the likeliest class there. Its position is the mean of the places
+`nothing` is the map's last channel. Of equal scores near each other, only the first one is a peak,
+row by row from the left. Scores and peaks are kept between calls: scores are computed again where
+the map has changed, and peaks within NEAR of such places. Each peak is an object, of the likeliest
+class there. Its position is the mean of the places
 within one row and column of the peak, weighted by their scores where these are positive. Objects
 are listed from the likeliest on.
 
 An object takes the number of an earlier object that is nearer than a given reach, or else a new
 number. The likeliest object chooses first, and takes the number of the nearest earlier object. Of
-equally near objects it takes the object seen last. If these were seen in the same decision, it
-takes the likelier object.
+equally near objects it takes the object seen last or, if they were seen in the same decision, the
+likelier one.
 
 What is remembered has limited room. The objects of a decision are remembered first, then those that
 were seen before and are not found now. Where there is no room for all, those that were seen longest
@@ -48,8 +49,8 @@ DX = 2  # stride of the columns, in numbers
 DK = 3  # stride of the channels, in numbers
 ROWS = 4
 COLUMNS = 5
-CHANNELS = 6
-NOT_FINITE = 7  # places with a logit that is not finite
+CHANNELS = 6  # the classes, and as the last channel `nothing`
+NOT_FINITE = 7  # number of places with a logit that is not finite
 # How many steps write the map. Behind the header stands a number for each of these steps: where in
 # the program the record of its changes begins.
 N_SOURCES = 8
@@ -100,7 +101,7 @@ def score_map(maps, about, scores, peaks):
     """Scores and peaks of a whole map."""
     for y in range(about[ROWS]):
         for x in range(about[COLUMNS]):
-            _score(maps, about, scores, y, x)
+            _write_score(maps, about, scores, y, x)
     for y in range(about[ROWS]):
         for word in range(peaks.shape[1]):
             _note_peaks(scores, peaks, y, word, EVERY_BIT)
@@ -111,20 +112,20 @@ def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_
     """List the objects of a map whose scores and peaks are known; see `locate_on_map`."""
     if about[NOT_FINITE] > 0:
         return -1
-    n = np.int64(0)  # With a literal 0, `_number` would be compiled twice.
+    n = np.int64(0)  # With a literal 0, `_number_objects` would be compiled twice.
     for y in range(peaks.shape[0]):
         for word in range(peaks.shape[1]):
-            left = peaks[y, word]
-            while left != 0:
-                x = 64 * word + trailing_zeros(left)
+            peak_bits = peaks[y, word]
+            while peak_bits != 0:
+                x = 64 * word + trailing_zeros(peak_bits)
                 best = _softmax_at(maps, about, y, x, probabilities[n])
                 found[n, PROBABILITY] = probabilities[n, best]
                 found[n, CLASS] = best
-                _position_at(scores, y, x, tracks[ON_SENSOR], found[n])
-                left &= left - np.uint64(1)
+                _write_position(scores, y, x, tracks[ON_SENSOR], found[n])
+                peak_bits &= peak_bits - np.uint64(1)  # clears the lowest bit
                 n += 1
     _sort(probabilities, found, n)
-    _number(found, n, tracks, time_us, keep)
+    _number_objects(found, n, tracks, time_us, keep)
     return n
 
 
@@ -206,31 +207,31 @@ def _follow_changes(program, bits, maps, about, scores, peaks):
     n_words = peaks.shape[1]
     for y in range(top, bottom + 1):
         for word in range(n_words):
-            changed = _changed(program, bits, sources, y, y, word)
-            while changed != 0:
-                _score(maps, about, scores, y, 64 * word + trailing_zeros(changed))
-                changed &= changed - np.uint64(1)
+            changed_bits = _changed_bits(program, bits, sources, y, y, word)
+            while changed_bits != 0:
+                _write_score(maps, about, scores, y, 64 * word + trailing_zeros(changed_bits))
+                changed_bits &= changed_bits - np.uint64(1)  # clears the lowest bit
 
     for y in range(max(0, top - NEAR), min(about[ROWS], bottom + NEAR + 1)):
-        before = np.uint64(0)
-        now = _changed(program, bits, sources, y - NEAR, y + NEAR, 0)
+        previous = np.uint64(0)
+        current = _changed_bits(program, bits, sources, y - NEAR, y + NEAR, 0)
         for word in range(n_words):
-            after = np.uint64(0)
+            following = np.uint64(0)
             if word + 1 < n_words:
-                after = _changed(program, bits, sources, y - NEAR, y + NEAR, word + 1)
+                following = _changed_bits(program, bits, sources, y - NEAR, y + NEAR, word + 1)
             # A bit for each column within NEAR of one that has changed.
-            reached = now
+            nearby = current
             for k in range(1, NEAR + 1):
                 n = np.uint64(k)
-                rest = np.uint64(64 - k)
-                reached |= now << n | before >> rest | now >> n | after << rest
-            before = now
-            now = after
-            _note_peaks(scores, peaks, y, word, reached)
+                opposite = np.uint64(64 - k)
+                nearby |= current << n | previous >> opposite | current >> n | following << opposite
+            previous = current
+            current = following
+            _note_peaks(scores, peaks, y, word, nearby)
 
 
 @compiled
-def _changed(program, bits, sources, first, last, word):
+def _changed_bits(program, bits, sources, first, last, word):
     """A bit for each column of a word where one of the rows from `first` to `last` has changed."""
     changed = np.uint64(0)
     for record in sources:
@@ -242,7 +243,7 @@ def _changed(program, bits, sources, first, last, word):
 
 
 @compiled
-def _score(maps, about, scores, y, x):
+def _write_score(maps, about, scores, y, x):
     """Write the score of a place: nan where a logit is not finite.
 
     Scores are float64, in which no difference of logits overflows.
@@ -262,23 +263,26 @@ def _score(maps, about, scores, y, x):
 
 
 @compiled
-def _note_peaks(scores, peaks, y, word, which):
-    """Note which places of a word of a row are peaks, among those whose bits are set in `which`."""
+def _note_peaks(scores, peaks, y, word, candidates):
+    """Note which `candidates` are peaks: a bit for each place in a word of a row."""
     columns = scores.shape[1]
-    left = which
-    found = np.uint64(0)
-    while left != 0:
-        bit = trailing_zeros(left)
+    untested = candidates
+    peak_bits = np.uint64(0)
+    while untested != 0:
+        bit = trailing_zeros(untested)
         x = 64 * word + bit
         if x < columns and scores[y, x] > 0 and _is_peak(scores, y, x):
-            found |= np.uint64(1) << np.uint64(bit)
-        left &= left - np.uint64(1)
-    peaks[y, word] = peaks[y, word] & ~which | found
+            peak_bits |= np.uint64(1) << np.uint64(bit)
+        untested &= untested - np.uint64(1)  # clears the lowest bit
+    peaks[y, word] = peaks[y, word] & ~candidates | peak_bits
 
 
 @compiled
 def _is_peak(scores, y, x):
-    """Whether no score near a place is larger, and none before it by rows is equal."""
+    """Whether a place has the largest score near it. Of equal scores, only the first one counts.
+
+    Places are ordered row by row, from the left.
+    """
     rows, columns = scores.shape
     score = scores[y, x]
     for near_y in range(max(0, y - NEAR), min(rows, y + NEAR + 1)):
@@ -292,7 +296,12 @@ def _is_peak(scores, y, x):
 
 @compiled
 def _softmax_at(maps, about, y, x, probabilities):
-    """Write the softmax of a place's logits. Returns its likeliest class, the first of several."""
+    """Write the softmax of a place's logits, and return the likeliest class there.
+
+    The last channel, `nothing`, takes part in the softmax but is no class. Of equally likely
+    classes, the first one is returned.
+    """
+    n_classes = about[CHANNELS] - 1
     at = about[FIRST] + y * about[DY] + x * about[DX]
     largest = maps[at]
     for k in range(about[CHANNELS]):
@@ -302,7 +311,7 @@ def _softmax_at(maps, about, y, x, probabilities):
     for k in range(about[CHANNELS]):
         probabilities[k] = np.exp(np.float64(maps[at + k * about[DK]]) - np.float64(largest))
         total += probabilities[k]
-        if k < about[CHANNELS] - 1 and maps[at + k * about[DK]] > maps[at + best * about[DK]]:
+        if k < n_classes and maps[at + k * about[DK]] > maps[at + best * about[DK]]:
             best = k
     for k in range(about[CHANNELS]):
         probabilities[k] /= total
@@ -310,7 +319,7 @@ def _softmax_at(maps, about, y, x, probabilities):
 
 
 @compiled
-def _position_at(scores, y, x, on_sensor, row):
+def _write_position(scores, y, x, map_to_sensor, row):
     """Write the position of a peak, in sensor pixels, into its row of `found`."""
     total = 0.0
     sum_x = 0.0
@@ -321,8 +330,8 @@ def _position_at(scores, y, x, on_sensor, row):
             total += weight
             sum_x += weight * (near_x - x)
             sum_y += weight * (near_y - y)
-    row[X] = on_sensor[X0] + on_sensor[DX_PX] * (x + sum_x / total)
-    row[Y] = on_sensor[Y0] + on_sensor[DY_PX] * (y + sum_y / total)
+    row[X] = map_to_sensor[X0] + map_to_sensor[DX_PX] * (x + sum_x / total)
+    row[Y] = map_to_sensor[Y0] + map_to_sensor[DY_PX] * (y + sum_y / total)
 
 
 @compiled
@@ -349,65 +358,66 @@ def _swap(rows, i, k):
 
 
 @compiled
-def _number(found, n, tracks, time_us, keep):
+def _number_objects(found, n, tracks, time_us, keep):
     """Give each of n objects the number of an earlier one, or a new number."""
     n_known = np.int64(tracks[HEAD, N_KNOWN])
-    taken = np.zeros(n_known, np.bool_)
-    following = tracks[HEAD, NEXT_NUMBER]
+    is_taken = np.zeros(n_known, np.bool_)
+    next_number = tracks[HEAD, NEXT_NUMBER]
     for i in range(n):
         nearest = -1
-        least = 1.0  # squared distance, in units of the reach
+        least_distance = 1.0  # squared distance, in units of the reach
         n_candidates = n_known if i < MOST_TRACKED else 0
+        # From the object seen last on, so that it is taken if others are as near.
         for j in range(n_candidates - 1, -1, -1):
-            across = (found[i, X] - tracks[KNOWN + j, KNOWN_X]) / tracks[REACH, REACH_X]
-            down = (found[i, Y] - tracks[KNOWN + j, KNOWN_Y]) / tracks[REACH, REACH_Y]
-            away = across * across + down * down
+            dx = (found[i, X] - tracks[KNOWN + j, KNOWN_X]) / tracks[REACH, REACH_X]
+            dy = (found[i, Y] - tracks[KNOWN + j, KNOWN_Y]) / tracks[REACH, REACH_Y]
+            distance = dx * dx + dy * dy
             is_old = time_us - tracks[KNOWN + j, KNOWN_US] > tracks[HEAD, MEMORY_US]
-            if away < least and not taken[j] and not is_old:
+            if distance < least_distance and not is_taken[j] and not is_old:
                 nearest = j
-                least = away
+                least_distance = distance
         if nearest >= 0:
-            taken[nearest] = True
+            is_taken[nearest] = True
             found[i, NUMBER] = tracks[KNOWN + nearest, KNOWN_NUMBER]
         else:
-            found[i, NUMBER] = following
-            following += 1
+            found[i, NUMBER] = next_number
+            next_number += 1
     if keep:
-        tracks[HEAD, NEXT_NUMBER] = following
-        _remember(found, n, tracks, taken, time_us)
+        tracks[HEAD, NEXT_NUMBER] = next_number
+        _remember(found, n, tracks, is_taken, time_us)
 
 
 @compiled
-def _remember(found, n, tracks, taken, time_us):
+def _remember(found, n, tracks, is_taken, time_us):
     """Keep in `tracks` the objects of this decision, and stale ones as far as there is room.
 
-    An object is stale if it was known and is not `taken` now. An object that was last seen too long
+    An object is stale if it was known and is not taken now. An object that was last seen too long
     ago is forgotten: it is marked as taken.
     """
     room = len(tracks) - KNOWN
     n_present = min(n, MOST_TRACKED, room)
     n_stale = 0
-    for j in range(len(taken)):
-        taken[j] |= time_us - tracks[KNOWN + j, KNOWN_US] > tracks[HEAD, MEMORY_US]
-        n_stale += not taken[j]
+    for j in range(len(is_taken)):
+        is_taken[j] |= time_us - tracks[KNOWN + j, KNOWN_US] > tracks[HEAD, MEMORY_US]
+        n_stale += not is_taken[j]
 
-    # Where there is no room for all, the oldest are left out, which stand first: those for which
-    # `kept` is negative.
+    # Where there is no room for all, the oldest objects are left out. They stand first: `n_kept`
+    # counts up from minus their number, and is negative for them.
     n_left_out = max(0, n_stale + n_present - room)
-    kept = -n_left_out
-    for j in range(len(taken)):
-        if not taken[j]:
-            if kept >= 0:
+    n_kept = -n_left_out
+    for j in range(len(is_taken)):
+        if not is_taken[j]:
+            if n_kept >= 0:
                 # A slice would take seconds to compile, because it may overlap.
                 for k in range(tracks.shape[1]):
-                    tracks[KNOWN + kept, k] = tracks[KNOWN + j, k]
-            kept += 1
+                    tracks[KNOWN + n_kept, k] = tracks[KNOWN + j, k]
+            n_kept += 1
 
     for i in range(n_present - 1, -1, -1):
-        row = tracks[KNOWN + kept]
+        row = tracks[KNOWN + n_kept]
         row[KNOWN_NUMBER] = found[i, NUMBER]
         row[KNOWN_X] = found[i, X]
         row[KNOWN_Y] = found[i, Y]
         row[KNOWN_US] = time_us
-        kept += 1
-    tracks[HEAD, N_KNOWN] = kept
+        n_kept += 1
+    tracks[HEAD, N_KNOWN] = n_kept

@@ -12,27 +12,27 @@ from async_tnt.kernels.volume.records import MAX_TIME_US, load, store
 
 # The clock, int64: the state between packets. Its times are the sender's, without the offset.
 NEWEST = 0  # the newest time so far; -1 before the first packet
-NEWEST_ARRIVAL = 1  # when it came, on the receiver's clock
+NEWEST_ARRIVAL = 1  # when the packet with this time came, on the receiver's clock
 OFFSET = 2  # added to every time
 CANDIDATE = 3  # the oldest time of the packet that voted last
 CANDIDATE_ARRIVAL = 4  # when that packet came
 VOTES = 5  # packets in a row that agree that the clock has moved
 JUMPED = 6  # events dropped because their time jumps
-LATE = 7  # events older than one before them
+LATE = 7  # events older than an event before them
 RESTARTS = 8  # how often the clock has moved back
 INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0, 0)
 """The clock before the first packet."""
 
 AGREEING_PACKETS = 8
-"""Votes with which the clock has moved."""
+"""Votes in a row after which the clock counts as moved."""
 BACK_US = 1_000_000
-"""Microseconds: further back, a time is a jump rather than out of order."""
+"""Microseconds. A time further back than this is a jump, and not an event out of order."""
 REORDERED_US = 20_000
-"""The same after a pause, to tell a restarted sender from a network that reorders."""
+"""The same limit after a pause. It tells a restarted sender from a network that reorders."""
 LATEST_START_US = 4_102_444_800_000_000
 """The year 2100 on a clock that counts from 1970: a stream starts before that."""
 NO_LIMIT = -1
-"""Instead of the largest jump: every time is accepted."""
+"""This number instead of a largest jump means that every time is accepted."""
 
 
 @entry_point(uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
@@ -78,6 +78,8 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
         clock[VOTES] = 0
     elif n_valid > 0:
         has_moved = _vote(clock, oldest, arrival, max_jump)
+    # The clock begins anew at the oldest time of this packet. Where that would take the stream's
+    # times back, the offset grows instead.
     is_first = newest < 0 and n_plausible > 0 and max_jump != NO_LIMIT
     if has_moved or is_first:
         low = oldest
@@ -90,16 +92,16 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
 
     low = max(low, 0)
     high = min(high, MAX_TIME_US - offset - 1)
-    kept, n_late, newest = _keep_between(records, start, n, size, time_at, low, high, newest)
+    n_kept, n_late, newest = _keep_between(records, start, n, size, time_at, low, high, newest)
     if offset != 0:
-        _shift_times(records, start + time_at, kept, size, offset)
-    if kept > n_late:
+        _shift_times(records, start + time_at, n_kept, size, offset)
+    if n_kept > n_late:
         clock[NEWEST_ARRIVAL] = arrival
-    clock[JUMPED] += n_valid - kept
+    clock[JUMPED] += n_valid - n_kept
     clock[LATE] += n_late
     clock[NEWEST] = newest
     clock[OFFSET] = offset
-    return kept
+    return n_kept
 
 
 @inlined
@@ -113,9 +115,9 @@ def _plausible_times(clock, arrival, max_jump):
         low = 0
         high = LATEST_START_US
     else:
-        passed = max(arrival - clock[NEWEST_ARRIVAL], 0)
-        low = newest - max(BACK_US - passed, REORDERED_US)
-        high = newest + passed + max_jump
+        pause = max(arrival - clock[NEWEST_ARRIVAL], 0)
+        low = newest - max(BACK_US - pause, REORDERED_US)
+        high = newest + pause + max_jump
     return low, high
 
 
@@ -146,7 +148,7 @@ def _shift_times(records, first, n, size, offset):
 
 @inlined
 def _count_plausible(records, first, n, size, low, high, end):
-    """How many times lie in [0, end), how many of them in [low, high], and the oldest of them.
+    """Count the times in [0, end) and the times in [low, high], and find the oldest in [0, end).
 
     `first` is the first byte of the first time.
     """
@@ -168,9 +170,9 @@ def _keep_between(records, start, n, size, time_at, low, high, newest):
 
     Returns
     -------
-    kept, n_late, newest : int. Events kept, how many of them are late, and the newest time.
+    n_kept, n_late, newest : int. Events kept, how many of them are late, and the newest time.
     """
-    kept = 0
+    n_kept = 0
     n_late = 0
     for i in range(n):
         record = start + i * size
@@ -179,12 +181,12 @@ def _keep_between(records, start, n, size, time_at, low, high, newest):
             continue
         n_late += t < newest
         newest = max(newest, t)
-        place = start + kept * size
+        place = start + n_kept * size
         if place != record:
             for b in range(size):
                 records[place + b] = records[record + b]
-        kept += 1
-    return kept, n_late, newest
+        n_kept += 1
+    return n_kept, n_late, newest
 
 
 @inlined
@@ -193,9 +195,9 @@ def _vote(clock, oldest, arrival, max_jump):
 
     Returns whether the clock has moved.
     """
-    later = oldest - clock[CANDIDATE]
-    passed = max(arrival - clock[CANDIDATE_ARRIVAL], 0)
-    agrees = -max_jump <= later <= max_jump + passed
+    step = oldest - clock[CANDIDATE]
+    pause = max(arrival - clock[CANDIDATE_ARRIVAL], 0)
+    agrees = -max_jump <= step <= max_jump + pause
     clock[VOTES] = clock[VOTES] + 1 if agrees else 1
     clock[CANDIDATE] = oldest
     clock[CANDIDATE_ARRIVAL] = arrival

@@ -71,20 +71,20 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
         start = RECORD_BYTES * n_out
         record = start
         for i in range(first, ends[k]):
-            at = i * size
-            good = True
+            place = i * size
+            is_good = True
             if format == T64:
-                t = load(raw, at, np.int64)
-                x = np.int64(load(raw, at + 8, np.uint16))
-                y = np.int64(load(raw, at + 10, np.uint16))
-                p = np.int64(load(raw, at + 12, np.uint8))
-                good = p <= 1
+                t = load(raw, place, np.int64)
+                x = np.int64(load(raw, place + 8, np.uint16))
+                y = np.int64(load(raw, place + 10, np.uint16))
+                p = np.int64(load(raw, place + 12, np.uint8))
+                is_good = p <= 1
             else:
-                word = np.int64(load(raw, at, np.uint32))
-                low = word
+                word = np.int64(load(raw, place, np.uint32))
+                low_half = word
                 if format == T32:
                     # A word of time; then x (16 bits), p (1), y (15), from the lowest bit on.
-                    second = np.int64(load(raw, at + 4, np.uint32))
+                    second = np.int64(load(raw, place + 4, np.uint32))
                     x = second & 0xFFFF
                     y = second >> 17
                     p = second >> 16 & 1
@@ -93,11 +93,11 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
                     x = word >> 16 & 0x7FFF
                     y = word & 0x7FFF
                     p = word >> 15 & 1
-                    good = (word >> 31 == 1) == (format == SPIF)
+                    is_good = (word >> 31 == 1) == (format == SPIF)
                     if format == SPIF_T32:
-                        low = np.int64(load(raw, at + 4, np.uint32))
-                t = arrivals[k] if format == SPIF else _unwrapped(newest, low)
-            if not good:
+                        low_half = np.int64(load(raw, place + 4, np.uint32))
+                t = arrivals[k] if format == SPIF else _unwrapped(newest, low_half)
+            if not is_good:
                 continue
             if x >= width or y >= height:
                 n_off_sensor += 1
@@ -117,8 +117,11 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
 
 
 @inlined
-def _unwrapped(newest, low):
-    """The time whose low half is `low` and that is nearest to `newest`; `low` if there is none."""
+def _unwrapped(newest, low_half):
+    """The time nearest to `newest` that has this `low_half`.
+
+    It is `low_half` itself before the first event, when `newest` is negative.
+    """
     if newest < 0:
-        return low
-    return newest + ((low - newest + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+        return low_half
+    return newest + ((low_half - newest + 0x80000000) & 0xFFFFFFFF) - 0x80000000

@@ -24,7 +24,7 @@ LOW = 1  # EVT3: the low part of the time
 ROW = 2  # EVT3: the row of the events that follow; -1: not known yet
 BASE = 3  # EVT3: the first column of the vector that follows; -1: not known yet
 POLARITY = 4  # EVT3: the polarity of vectors
-UNPLACED = 5  # events, or vectors of them, that were skipped
+UNPLACED = 5  # number of events, or of vectors of events, that were skipped
 INITIAL = (-1, 0, -1, -1, 0, 0)
 """The state at a file's start."""
 LAST_COLUMN = (1 << 16) - 1
@@ -49,39 +49,41 @@ WORDS_16 = (types.Array(uint16, 1, "C", readonly=True), *WORDS_32[1:])
 
 
 @compiled
-def next_time(time, raw, period):
-    """The unwrapped time of a clock that shows `raw`: the one nearest to the time before.
+def next_time(previous, raw, period):
+    """The time nearest to `previous` at which a clock with this `period` shows `raw`.
 
-    A step of up to half a period back is disorder or a flipped bit, and does not shift later times.
-    A larger one is a wrap. No time is negative: there was a long gap instead.
+    A step back of at most half a period means that events are out of order, or that a bit is wrong.
+    The clock has not wrapped then, and later times are not shifted. A larger step back means that
+    the clock has wrapped. A step back to a negative time counts as a long gap, because no time is
+    negative.
 
     Parameters
     ----------
-    time : int. The unwrapped time before, or -1 at the start.
+    previous : int. The unwrapped time before this one, or -1 at the start.
     raw : int. What the clock shows, in [0, period).
-    period : int.
+    period : int. The clock shows 0 again after this time.
     """
-    if time < 0:
+    if previous < 0:
         return raw
-    step = (raw - time) % period
-    if step >= period // 2 and time + step >= period:
+    step = (raw - previous) % period
+    if step >= period // 2 and previous + step >= period:
         step -= period
-    return time + step
+    return previous + step
 
 
 @entry_point(int64[::1], int64, int64)
-def unwrap_times(t, time, period):
-    """Replace each of t by its `next_time`. Returns the last one.
+def unwrap_times(t, previous, period):
+    """Replace each time by its `next_time` after the one before it. Returns the last time.
 
     Parameters
     ----------
     t : int64. Updated in place.
-    time, period : see `next_time`.
+    previous, period : see `next_time`.
     """
     for i in range(t.size):
-        time = next_time(time, t[i], period)
-        t[i] = time
-    return time
+        previous = next_time(previous, t[i], period)
+        t[i] = previous
+    return previous
 
 
 @entry_point(*WORDS_32, *COLUMNS)
@@ -122,7 +124,7 @@ def decode_evt21(words, start, state, t, x, y, p):
         if kind <= CD_ON:
             if state[HIGH] < 0:
                 state[UNPLACED] += 1
-                mask = 0
+                mask = 0  # so that no event is written
             time = state[HIGH] << 6 | word >> 22 & 63
             base = word >> 11 & 2047
             for bit in range(32):

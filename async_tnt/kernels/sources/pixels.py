@@ -10,12 +10,10 @@ from numba import int64, uint8, uint16
 from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.volume.records import COLUMNS, store
 
-# What happens to the events of a pixel. They are kept;
-KEEP = 0
-# dropped, because the pixel is in a mask;
-MASKED = 1
-# or dropped, because it is outside the region.
-OUTSIDE = 2
+# what happens to the events of a pixel
+KEEP = 0  # they are kept
+MASKED = 1  # they are dropped, because the pixel is in a mask
+OUTSIDE = 2  # they are dropped, because the pixel is outside the region
 
 RECORD_BYTES = 13
 """Bytes of a packed record: t int64, x uint16, y uint16, p uint8."""
@@ -38,22 +36,22 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
     -------
     n_kept, n_masked : int.
     """
-    kept = 0
-    masked = 0
+    n_kept = 0
+    n_masked = 0
     height, width = verdicts.shape
     for i in range(n):
         column = min(np.int64(x[i]), width - 1)
         row = min(np.int64(y[i]), height - 1)
         verdict = verdicts[row, column]
         # There is no branch: an event that is not kept is overwritten by the next one.
-        at = RECORD_BYTES * kept
-        store(records, at, t[i], np.int64)
-        store(records, at + 8, column - left, np.uint16)
-        store(records, at + 10, row - top, np.uint16)
-        store(records, at + 12, p[i], np.uint8)
-        kept += verdict == KEEP
-        masked += verdict == MASKED
-    return kept, masked
+        record = RECORD_BYTES * n_kept
+        store(records, record, t[i], np.int64)
+        store(records, record + 8, column - left, np.uint16)
+        store(records, record + 10, row - top, np.uint16)
+        store(records, record + 12, p[i], np.uint8)
+        n_kept += verdict == KEEP
+        n_masked += verdict == MASKED
+    return n_kept, n_masked
 
 
 @entry_point(uint16[::1], uint16[::1], int64, int64[:, ::1], nogil=True)

@@ -33,7 +33,7 @@ from async_tnt.kernels.volume.landmark import (
 from async_tnt.kernels.volume.records import COLUMNS, MAX_TIME_US
 from async_tnt.kernels.volume.splat import add_event, combine_time, grid_of, place_event
 
-# What `absorb_one` returns. Up to LATE, the event has been counted.
+# What `absorb_one` returns. With ABSORBED and LATE, the event has been counted.
 ABSORBED = 0
 # The event is older than the open window.
 LATE = 1
@@ -94,13 +94,15 @@ def absorb(buffer, t, x, y, p, first, last):
 
 @entry_point(float64[:, ::1], int64[::1], int64[::1], *COLUMNS, int64, int64, calls=(absorb,))
 def absorb_into_others(states, rows, received, t, x, y, p, first, last):
-    """`absorb` for each volume but the first, if it has not received these events yet.
+    """Add events, as `absorb` does, to each volume that has not received them yet.
+
+    The first volume is left out, because it has absorbed the events already.
 
     Parameters
     ----------
     states : float64, (volumes, numbers). Each row is a volume's `state`. Updated in place.
     rows : int64. The rows of the volumes.
-    received : int64. What each volume had received before these events.
+    received : int64. How many events each volume had received before these events.
     t, x, y, p, first, last : see `absorb`.
     """
     for k in range(1, rows.size):
@@ -192,13 +194,15 @@ def _absorb_event(buffer, ints, t, x, y, p):
         )
 
     grid = grid_of(buffer, ints)
-    corner, y_frac, x_frac, lower, upper, keep = place_event(
+    corner, y_frac, x_frac, lower, upper, is_kept = place_event(
         grid, np.float64(dt), p > 0, num_x, num_y, den
     )
-    ints[S.KEPT] += keep
+    ints[S.KEPT] += is_kept
     ints[S.TAU_ZERO] += den == 0.0
     _note_changed_bins(ints, grid, dt, dt)
-    ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
+    # LOG_SIZE is a power of two, so `&` gives the remainder of a division by it.
+    place_in_log = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
+    ints[ints[S.LOG] + place_in_log] = corner
     ints[S.N_LOG] += 1
 
     row = np.uint64(ints[S.ROW])
@@ -257,6 +261,7 @@ def _count_block(buffer, ints, t, m, oldest_us, newest_us):
     ints[S.N] += m
     ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
     _note_changed_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
+    # tau is 0 at the window's start. Without the transform there is no tau.
     if (oldest_us == start_us) & (ints[S.MODE] != S.MODE_RAW):
         for i in range(m):
             ints[S.TAU_ZERO] += t[i] == start_us
@@ -281,17 +286,18 @@ def _place(buffer, ints, p, m):
     for i in range(m):
         # The row LOWER still holds DT. A second slice of that row would prevent vectorization.
         dt = lowers[i]
-        corners[i], y_fracs[i], x_fracs[i], lowers[i], uppers[i], keep = place_event(
+        corners[i], y_fracs[i], x_fracs[i], lowers[i], uppers[i], is_kept = place_event(
             grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )
-        n_kept += keep
+        n_kept += is_kept
     ints[S.KEPT] += n_kept
 
-    # The log is a ring, longer than a block: write up to its end, then from its beginning.
-    at = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
-    m_to_end = min(m, ints[S.LOG_SIZE] - at)
+    # The log is a ring, at least as long as a block: write up to its end, then from its beginning.
+    # LOG_SIZE is a power of two, so `&` gives the remainder of a division by it.
+    place_in_log = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
+    m_to_end = min(m, ints[S.LOG_SIZE] - place_in_log)
     for i in range(m_to_end):
-        ints[ints[S.LOG] + at + i] = corners[i]
+        ints[ints[S.LOG] + place_in_log + i] = corners[i]
     for i in range(m_to_end, m):
         ints[ints[S.LOG] + i - m_to_end] = corners[i]
     ints[S.N_LOG] += m
@@ -331,6 +337,6 @@ def _combine_times(buffer, ints, t, m):
 
 @inlined
 def _note_changed_bins(ints, grid, oldest_dt, newest_dt):
-    """Note which intervals events between two times may change, for the next read."""
+    """Note, for the next read, which intervals may change by events between two times."""
     ints[S.INTERVAL_LO] = min(ints[S.INTERVAL_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
     ints[S.INTERVAL_HI] = max(ints[S.INTERVAL_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))

@@ -20,8 +20,9 @@ event at x, y and dt >= 0 microseconds after the window's start. The denominator
 0.
 
 `displace` applies them to a block of events. Each landmark has a loop of its own: Numba counts
-references to the slices unless a function is free of branches, and that would cost as much as the
-work. Formulas take plain numbers, which stay in registers: `displace_line` needs nine of them.
+references to the slices unless a function is free of branches, and the counting would cost as much
+as the work. Formulas take plain numbers, which stay in registers: `displace_line` needs nine of
+them.
 """
 
 import numpy as np
@@ -121,18 +122,19 @@ def displace(buffer, ints, t, x, y, m):
 
 @inlined
 def _running_block(buffer, ints, t, x, y, m):
-    sums = block_of(ints, S.PREFIX)
+    packed_sums = block_of(ints, S.PREFIX)
     num_x = block_of(buffer, S.NUM_X)
     num_y = block_of(buffer, S.NUM_Y)
     den = block_of(buffer, S.DEN)
     start_us = ints[S.START_US]
-    n = ints[S.N] - m
+    n_before = ints[S.N] - m
 
-    # Both sums of a block, each far below 2**32, in one number: one addition and one store.
-    both = np.int64(0)
+    # The sums of x and of y over a block share one number, because each is far below 2**32. So an
+    # event takes one addition and one store.
+    packed_sum = np.int64(0)
     for i in range(m):
-        both += np.int64(x[i]) | np.int64(y[i]) << 32
-        sums[i] = both
+        packed_sum += np.int64(x[i]) | np.int64(y[i]) << 32
+        packed_sums[i] = packed_sum
 
     sum_x = ints[S.SUM_X]
     sum_y = ints[S.SUM_Y]
@@ -141,12 +143,12 @@ def _running_block(buffer, ints, t, x, y, m):
             x[i],
             y[i],
             t[i] - start_us,
-            n + i + 1,
-            sum_x + (sums[i] & 0xFFFFFFFF),
-            sum_y + (sums[i] >> 32),
+            n_before + i + 1,
+            sum_x + (packed_sums[i] & 0xFFFFFFFF),
+            sum_y + (packed_sums[i] >> 32),
         )
-    ints[S.SUM_X] = sum_x + (both & 0xFFFFFFFF)
-    ints[S.SUM_Y] = sum_y + (both >> 32)
+    ints[S.SUM_X] = sum_x + (packed_sum & 0xFFFFFFFF)
+    ints[S.SUM_Y] = sum_y + (packed_sum >> 32)
 
 
 @inlined
@@ -178,7 +180,7 @@ def _line_block(buffer, ints, t, x, y, m, remove_flow):
     num_y = block_of(buffer, S.NUM_Y)
     den = block_of(buffer, S.DEN)
     start_us = ints[S.START_US]
-    n = ints[S.N] - m
+    n_before = ints[S.N] - m
     sum_x = ints[S.SUM_X]
     sum_y = ints[S.SUM_Y]
     sum_t = ints[S.SUM_T]
@@ -188,7 +190,7 @@ def _line_block(buffer, ints, t, x, y, m, remove_flow):
         sum_y += y[i]
         sum_t += dt
         num_x[i], num_y[i], den[i] = displace_line(
-            buffer, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow
+            buffer, x[i], y[i], dt, n_before + i + 1, sum_x, sum_y, sum_t, remove_flow
         )
     ints[S.SUM_X] = sum_x
     ints[S.SUM_Y] = sum_y

@@ -23,30 +23,32 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     epoch : int. A number that no window had before.
     """
     ints = buffer.view(np.int64)
-    first = ints[S.LOG]
+    log_start = ints[S.LOG]
     n_log = ints[S.N_LOG]
 
-    # Zero all cells, or only those in the log. `is_read`: the array then shows the empty window.
-    if n_log * S.CELLS_PER_LOGGED > first - S.CELLS:
-        for i in range(S.CELLS, first):
+    # Zero all cells or, where that costs less, only the cells of the logged events. `shows_empty`
+    # says whether the array shows the empty window afterwards.
+    if n_log * S.CELLS_PER_LOGGED > log_start - S.CELLS:
+        for i in range(S.CELLS, log_start):
             buffer[i] = 0.0
-        is_read = ints[S.N_READ] == 0
+        # An array that shows no event of the window is zero already.
+        shows_empty = ints[S.N_READ] == 0
     else:
         row = ints[S.ROW]
         second = ints[S.SECOND]
-        for k in range(first, first + n_log):
+        for k in range(log_start, log_start + n_log):
             for place in (ints[k], ints[k] + row, ints[k] + second, ints[k] + second + row):
                 buffer[place] = 0.0
                 buffer[place + 1] = 0.0
         # Now that all cells are zero, copy those that the array shows with other values.
-        for k in range(first, first + ints[S.N_READ]):
+        for k in range(log_start, log_start + ints[S.N_READ]):
             _copy_around(buffer, ints, ints[k], array)
-        is_read = ints[S.N_READ] >= 0
+        shows_empty = ints[S.N_READ] >= 0
 
     ints[S.N_LOG] = 0
     ints[S.EPOCH] = epoch
     _note_read(ints)
-    if not is_read:
+    if not shows_empty:
         mark_unread(ints)
 
     buffer[S.C_XF] = 0.0
@@ -79,7 +81,9 @@ def cells_to_float32(buffer, array):
         _copy_planes(buffer, ints, array)
     else:
         for k in range(ints[S.N_READ], ints[S.N_LOG]):
-            _copy_around(buffer, ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))], array)
+            # LOG_SIZE is a power of two, so `&` gives the remainder of a division by it.
+            place_in_log = k & (ints[S.LOG_SIZE] - 1)
+            _copy_around(buffer, ints, ints[ints[S.LOG] + place_in_log], array)
     _note_read(ints)
 
 
@@ -125,14 +129,17 @@ def _note_read(ints):
 def _copy_planes(buffer, ints, array):
     """`cells_to_float32` for all cells of the bins that changed."""
     n_channels, height, width = array.shape
+    # With `split` polarity, the OFF bins lie OFF_SHIFT cells behind the ON bins. Otherwise
+    # OFF_SHIFT is 0, and each channel is a bin of its own.
     n_bins = ints[S.OFF_SHIFT] // ints[S.PLANE] or n_channels
     for b in range(n_channels):
+        # Events in interval i change the bins i and i + 1.
         if not ints[S.INTERVAL_LO] <= b % n_bins <= ints[S.INTERVAL_HI] + 1:
             continue
         for y in range(height):
-            at = np.uint64(row_at(ints, b, y))
+            row_start = np.uint64(row_at(ints, b, y))
             for x in range(width):
-                array[b, y, x] = buffer[at + np.uint64(x)]
+                array[b, y, x] = buffer[row_start + np.uint64(x)]
 
 
 @inlined
@@ -142,6 +149,6 @@ def _copy_around(buffer, ints, corner, array):
     b0, y0, x0 = cell_at(ints, corner)
     for b in range(b0, min(b0 + 2, n_channels)):
         for y in range(y0, min(y0 + 2, height)):
-            at = np.uint64(row_at(ints, b, y))
+            row_start = np.uint64(row_at(ints, b, y))
             for x in range(x0, min(x0 + 2, width)):
-                array[np.uint64(b), np.uint64(y), np.uint64(x)] = buffer[at + np.uint64(x)]
+                array[np.uint64(b), np.uint64(y), np.uint64(x)] = buffer[row_start + np.uint64(x)]

@@ -130,9 +130,9 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
         return BAD
     lock = release_gil(n >= LARGE)
     is_loaded = _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
-    is_fine = is_loaded and _in_range(t, x, y, p, n, sensor_w, sensor_h)
+    is_valid = is_loaded and _in_range(t, x, y, p, n, sensor_w, sensor_h)
     take_gil(lock)
-    return t[0] if is_fine else BAD
+    return t[0] if is_valid else BAD
 
 
 @inlined
@@ -142,8 +142,9 @@ def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     has_common_time = layout[T_KIND] == I64
     has_common_place = layout[X_KIND] in (U16, I16) and layout[Y_KIND] in (U16, I16)
     if has_common_time and has_common_place and p_kind in (U8, I8, U16, I16):
-        # What most libraries deliver, without branches inside the loops. Read as unsigned, a
-        # negative pixel is too large (sensors end at 2**15), and polarity -1 is 255.
+        # Most libraries deliver numbers of these kinds. Loops of their own need no branches. Read
+        # as unsigned, a negative pixel is too large, because no side of a sensor is longer than
+        # 2**15, and polarity -1 is 255.
         size = layout[RECORD_SIZE]
         t_at = layout[T_AT]
         x_at = layout[X_AT]

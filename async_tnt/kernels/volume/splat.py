@@ -69,22 +69,22 @@ def grid_of(buffer, ints):
 
 
 @inlined
-def place_event(grid, dt, on, num_x, num_y, den):
+def place_event(grid, dt, is_on, num_x, num_y, den):
     """The cells that an event goes to, and its weights there.
 
     Parameters
     ----------
     grid : Grid.
     dt : float. Microseconds since the window's start, at least 0.
-    on : bool. Polarity.
+    is_on : bool. Polarity.
     num_x, num_y, den : float. Displacement from the landmark, see `landmark`.
 
     Returns
     -------
     corner : int. Index of the cell at (floor b, floor v, floor u) in the volume's buffer.
-    y_frac, x_frac : float in [0, 1), but for the tolerance. Distance from the corner.
+    y_frac, x_frac : float in [0, 1), up to the tolerance. Distance from the corner.
     lower, upper : float. Weights of bin floor b and of the next one. They sum to the event's sign.
-    keep : bool. Whether the event is on the grid. If not, its weights are 0 at a valid place, so
+    is_kept : bool. Whether the event is on the grid. If not, its weights are 0 at a valid place, so
         that adding it needs no branch.
     """
     # u = (x_g - l_g) / tau + c, see `landmark`. den = 0 gives inf or nan: not on the grid.
@@ -93,20 +93,20 @@ def place_event(grid, dt, on, num_x, num_y, den):
     v = num_y * inverse * grid.scale_y + grid.center_y
     b = dt * grid.bin_scale
 
-    keep = on_grid(u, grid.max_u) & on_grid(v, grid.max_v)
-    u = u if keep else 0.0
-    v = v if keep else 0.0
+    is_kept = on_grid(u, grid.max_u) & on_grid(v, grid.max_v)
+    u = u if is_kept else 0.0
+    v = v if is_kept else 0.0
     u_floor = np.trunc(u)  # equals floor, as u >= 0 (-1e-9 counts as 0)
     v_floor = np.trunc(v)
     b_floor = np.trunc(b)
 
-    sign = grid.sign_on if on else grid.sign_off
-    sign = sign if keep else 0.0
-    shift = 0.0 if on else grid.off_shift
+    sign = grid.sign_on if is_on else grid.sign_off
+    sign = sign if is_kept else 0.0
+    shift = 0.0 if is_on else grid.off_shift
     upper = sign * (b - b_floor)
     # One conversion is enough: all are whole numbers below 2**31, exact in float64.
     corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor + shift)
-    return corner, v - v_floor, u - u_floor, sign - upper, upper, keep
+    return corner, v - v_floor, u - u_floor, sign - upper, upper, is_kept
 
 
 @inlined
@@ -141,8 +141,8 @@ def combine_time(buffer, corner, row, second, y_frac, x_frac, f, combine):
         mean     count += w,  mean += (f - mean) w / count
         surface  count += w,  surface = max(surface, exp(SURFACE_DECAY (f - 1)))
 
-    The surface is the one at the window's end. At an earlier time all its cells have one other
-    common factor, which depends only on the time. So cells change only where events come.
+    The surface is the one at the window's end. At an earlier time, the surface is the same but for
+    one factor of all cells, which depends only on the time. So cells change only where events come.
     Weights below WEIGHT_TOLERANCE are skipped.
 
     Parameters

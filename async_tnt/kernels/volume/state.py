@@ -65,11 +65,11 @@ SUM_X = 27  # sensor pixels
 SUM_Y = 28
 SUM_T = 29  # microseconds since the window's start
 NEWEST_US = 30  # newest event of the window
-# ints: counted since the volume was made
-RECEIVED = 31
-KEPT = 32
-LATE = 33
-TAU_ZERO = 34
+# ints: numbers of events since the volume was made
+RECEIVED = 31  # events that came
+KEPT = 32  # events added to the volume
+LATE = 33  # events before the open window, without those of DECIDED
+TAU_ZERO = 34  # events at the start of their window, where tau is 0
 # ints: what changed
 EPOCH = 35  # the number of the open window
 N_LOG = 36  # corners logged since the window opened
@@ -78,7 +78,7 @@ N_READ = 37  # how many of these corners the array that users see already shows
 INTERVAL_LO = 38
 INTERVAL_HI = 39
 # ints: windows that were closed before their end
-# where the windows begin that lie before the open one and were closed early; NEVER_US: none was
+# all windows from this time up to the open window were closed early; NEVER_US: there is none
 DECIDED_FROM_US = 40
 DECIDED = 41  # late events at or after that time, dropped since the volume was made
 # ints: more parameters

@@ -8,11 +8,11 @@ ended by \\r\\n.
       camera comes from a DVS128, or from a part of the sensor of a DVS128.
 
           DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
-          DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
+          DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: of a frame
 
       Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128):
-      both are turned round. If a file names no camera, its addresses are read as addresses of a
-      DVS128, and are not turned round. But if the caller states the size of a DAVIS, they are read
+      both are mirrored here. If a file names no camera, its addresses are read as addresses of a
+      DVS128, and are not mirrored. But if the caller states the size of a DAVIS, they are read
       as addresses of this DAVIS, as v2e writes them. The clock wraps after 71.6 minutes; times are
       unwrapped.
 
@@ -126,7 +126,7 @@ class Aedat2Source(Source):
                     )
 
     def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The columns x, y and p of these addresses, and whether each is a pixel's.
+        """The columns x, y and p of these addresses, and whether each is the address of a pixel.
 
         In an address of another camera, x or y is below 0.
         """
@@ -137,9 +137,10 @@ class Aedat2Source(Source):
             polarity = address >> 11 & 1
             is_pixel = address & 0x8000_0400 == 0
             return x, y, polarity, is_pixel
-        turned = 0 if self.sensor is None else 0x7F  # n ^ 0x7F is 127 - n
-        x = np.where(address >> 16 == 0, (address >> 1 & 0x7F) ^ turned, -1)
-        y = (address >> 8 & 0x7F) ^ turned
+        # Without a named camera, x and y are not mirrored. n ^ 0x7F is 127 - n, and n ^ 0 is n.
+        mirror = 0 if self.sensor is None else 0x7F
+        x = np.where(address >> 16 == 0, (address >> 1 & 0x7F) ^ mirror, -1)
+        y = (address >> 8 & 0x7F) ^ mirror
         polarity = 1 - (address & 1)
         is_pixel = address & 0x8000 == 0
         return x, y, polarity, is_pixel
@@ -170,6 +171,7 @@ class Aedat3Source(Source):
                     )
                 kind, _, size, time_at, n_overflows, _, n_events, _ = struct.unpack("<2h6i", head)
                 has_pixels = kind == POLARITY_PACKET
+                # In an event of a pixel, the time lies at byte 4.
                 is_damaged = min(kind, size, n_overflows, n_events) < 0
                 if is_damaged or (has_pixels and (size, time_at) != (EVENT_BYTES, 4)):
                     raise CorruptData(
@@ -252,11 +254,12 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
             line = file.readline(MAX_LINE_BYTES)
             if end is None and not _is_comment(line):
                 return _camera(path, names), place
-            found = re.match(camera_line, line)
-            if found is not None:
-                names.append(found[1].decode("ascii", "replace"))
+            match = re.match(camera_line, line)
+            if match is not None:
+                names.append(match[1].decode("ascii", "replace"))
             if end is not None and line.startswith(end):
                 return _camera(path, names), file.tell()
+            # the file ends, or this line is too long for a header
             if end is not None and not line.endswith(b"\n"):
                 break
     how = f" by {end.decode()}" if end else ""
@@ -266,7 +269,7 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
 def _is_comment(line: bytes) -> bool:
     """Whether a line is a comment.
 
-    Events follow without a mark, and their first byte may be a #.
+    Events follow the comments without a mark between them, and their first byte may be a #.
     """
     return line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
 
@@ -280,12 +283,12 @@ def _camera(path: Path, names: list[str]) -> str:
     ------
     ValueError : none of the names is known.
     """
-    known = []
+    cameras = []
     for name in names:
         last_part = name.rpartition(".")[2].upper()
-        known += [camera for camera in SENSORS if camera in last_part]
-    if names and not known:
+        cameras += [camera for camera in SENSORS if camera in last_part]
+    if names and not cameras:
         raise ValueError(
             f"{path}: the camera must be one of {', '.join(SENSORS)}, got {', '.join(names)[:80]!r}"
         )
-    return known[0] if known else ""
+    return cameras[0] if cameras else ""

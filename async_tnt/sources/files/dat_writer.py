@@ -42,7 +42,7 @@ class DatFile:
 class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
     """A stream that is written to DAT files, one after the other.
 
-    The end of a `with` block completes the last one.
+    The end of a `with` block completes the last file.
 
     DAT's times have 32 bits. An event begins a new file if its time could not be read back. Such a
     time is before the first time of the file, or 71.6 minutes or more after the first time, or 35.8
@@ -73,7 +73,7 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         self._create = create
         self._completed = completed
         self._file: io.FileIO | None = None
-        self._about = DatFile(Path(), 0)
+        self._description = DatFile(Path(), 0)
         self._previous_us = 0
         self.n_events = 0
 
@@ -98,13 +98,14 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
             return
         file = self._file
         self._file = None
-        n_torn = (os.fstat(file.fileno()).st_size - len(self._header)) % DAT_EVENT_BYTES
+        # An error may have left a part of an event at the end.
+        n_torn_bytes = (os.fstat(file.fileno()).st_size - len(self._header)) % DAT_EVENT_BYTES
         with contextlib.suppress(OSError), file:
-            file.truncate(os.fstat(file.fileno()).st_size - n_torn)
-        if self._about.events:
-            self._completed(self._about)
+            file.truncate(os.fstat(file.fileno()).st_size - n_torn_bytes)
+        if self._description.events:
+            self._completed(self._description)
         else:
-            self._about.path.unlink(missing_ok=True)
+            self._description.path.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self
@@ -116,12 +117,12 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         """The number of these times, from the first on, that the file in progress can hold."""
         if self._file is None:
             return 0
-        since_first = t_us - self._about.first_us
+        since_first = t_us - self._description.first_us
         step = np.diff(t_us, prepend=self._previous_us)
-        is_odd = (
+        is_unfit = (
             (since_first < 0) | (since_first >= DAT_PERIOD_US) | (np.abs(step) > LONGEST_STEP_US)
         )
-        return int(is_odd.argmax()) if is_odd.any() else len(t_us)
+        return int(is_unfit.argmax()) if is_unfit.any() else len(t_us)
 
     def _begin(self, t_us: np.ndarray) -> None:
         """Begin a new file, which can hold the first of these times."""
@@ -129,8 +130,8 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         self._file = self._create()
         # A packet may be out of order: the file's times begin with the earliest time that lies near
         # the first one.
-        near = t_us[np.abs(t_us - t_us[0]) <= LONGEST_STEP_US]
-        self._about = DatFile(Path(self._file.name), int(near.min()))
+        near_us = t_us[np.abs(t_us - t_us[0]) <= LONGEST_STEP_US]
+        self._description = DatFile(Path(self._file.name), int(near_us.min()))
         self._previous_us = int(t_us[0])
         self._write(self._header)
 
@@ -139,23 +140,23 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
 
         They are counted also after an error.
         """
-        about = self._about
+        description = self._description
         try:
-            self._write(dat_records(events, about.first_us))
+            self._write(dat_records(events, description.first_us))
         finally:
             assert self._file is not None  # for mypy: it was written to
             n_in_file = (self._file.tell() - len(self._header)) // DAT_EVENT_BYTES
-            whole = events[: max(0, n_in_file - about.events)]
-            if len(whole):
-                about.events += len(whole)
-                about.on += int(whole["p"].sum())
-                self.n_events += len(whole)
-                self._previous_us = int(whole["t"][-1])
+            whole_events = events[: max(0, n_in_file - description.events)]
+            if len(whole_events):
+                description.events += len(whole_events)
+                description.on += int(whole_events["p"].sum())
+                self.n_events += len(whole_events)
+                self._previous_us = int(whole_events["t"][-1])
 
     def _write(self, data: bytes) -> None:
         """Write all bytes; an unbuffered file may take a part of them."""
         assert self._file is not None  # for mypy
-        left = memoryview(data)
-        with naming(self._about.path):
-            while left:
-                left = left[self._file.write(left) :]
+        remaining = memoryview(data)
+        with naming(self._description.path):
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]

@@ -28,19 +28,19 @@ COLUMNS = {
     "start": ("start", "start_us", "startTime_usec"),
     "end": ("end", "end_us", "endTime_usec"),
 }
-"""Column of a session's table -> the names that it may have."""
+"""Column of a session's table -> the names that the column may have."""
 
 NAMES_FILE = "gesture_mapping.csv"
 """Name of the file that gives class numbers their names."""
 
 NAMES_COLUMNS = {"label": ("label", "class"), "name": ("action", "gesture", "name")}
-"""Column of that file -> the names that it may have."""
+"""Column of the file of names -> the names that the column may have."""
 
 LISTS = {"Train": "trials_to_train.txt", "Test": "trials_to_test.txt"}
 """Part of a data set -> name of the file that lists its sessions."""
 
 TEXTS = (".csv", ".txt")
-"""Suffixes of recordings that may be notes as well."""
+"""Suffixes of recordings that notes have, too."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,7 @@ class LabelledRecording:
     def name(self) -> str:
         """The name for messages and reports.
 
-        It is made of the class folder and the file, or of the session's file and the part's
-        times.
+        It names the class folder and the file, or the session's file and the part's times.
         """
         if self.between_us is None:
             return f"{self.path.parent.name}/{self.path.name}"
@@ -134,25 +133,26 @@ def find_recordings(
             f"{folder} is a file; expected a folder with a folder of recordings for each class"
         )
     if part is not None:
-        folder = _inner(folder, part)
-    classes = _folders(folder)
-    not_parts = [path for path in classes if path.name not in LISTS]
-    for path in not_parts:
+        folder = _folder_of_part(folder, part)
+    folders = _folders(folder)
+    # Folders with the names of parts, such as "Train", are not checked as classes.
+    classes = [path for path in folders if path.name not in LISTS]
+    for path in classes:
         _check_class_folder(path)
     sessions = _sessions(folder)
     if sessions:
-        _check_all_labelled(folder, sessions, not_parts)
+        _check_all_labelled(folder, sessions, classes)
         return _parts(folder, sessions, part)
-    if not classes:
+    if not folders:
         raise ValueError(
             f"{folder}: no class folders; expected {folder.name}/<class name>/<recording>, or "
             f"sessions {folder.name}/NAME.* with tables NAME{TABLE}; recordings in "
             f"{', '.join(sorted(READERS))}"
         )
-    return {path.name: _recordings_in(path) for path in classes}
+    return {path.name: _recordings_in(path) for path in folders}
 
 
-def _inner(folder: Path, part: str) -> Path:
+def _folder_of_part(folder: Path, part: str) -> Path:
     """The folder of a part of a data set: `folder/part` if it holds any data, else `folder`."""
     inner = folder / part
     if inner.is_dir() and (_folders(inner) or _sessions(inner)):
@@ -183,7 +183,7 @@ def _recordings_in(folder: Path) -> list[LabelledRecording]:
 
 def class_folders(folder: Path) -> list[Path]:
     """The class folders in `Train` or, without it, in the data set itself."""
-    return _folders(_inner(folder, "Train"))
+    return _folders(_folder_of_part(folder, "Train"))
 
 
 def has_test(folder: Path) -> bool:
@@ -210,16 +210,16 @@ def recordings_under(folder: Path) -> list[Path]:
     ValueError : there are no recordings.
     OSError : a folder cannot be read.
     """
-    found = []
-    for inside, names, files in os.walk(folder, onerror=_raise):
+    recordings = []
+    for parent, names, files in os.walk(folder, onerror=_raise):
         names[:] = [name for name in names if not name.startswith(".")]
-        found += [Path(inside, name) for name in files if is_recording(Path(name))]
-    if not found:
+        recordings += [Path(parent, name) for name in files if is_recording(Path(name))]
+    if not recordings:
         raise ValueError(
             f"{folder}: no recordings in this folder; expected files in "
             f"{', '.join(sorted(READERS))}"
         )
-    return sorted(found)
+    return sorted(recordings)
 
 
 def _raise(error: OSError) -> None:
@@ -243,15 +243,15 @@ def _sessions(folder: Path) -> dict[Path, Path]:
     ]
     sessions: dict[Path, Path] = {}
     for name, table in sorted(tables.items()):
-        named = [path for path in recordings if path.stem == name]
+        namesakes = [path for path in recordings if path.stem == name]
         # of files with one name, a text may be a note about the recording
-        found = [path for path in named if path.suffix.lower() not in TEXTS] or named
-        if len(found) > 1:
+        candidates = [path for path in namesakes if path.suffix.lower() not in TEXTS] or namesakes
+        if len(candidates) > 1:
             raise ValueError(
-                f"{folder}: {found[0].name} and {found[1].name} have one table; keep one of them "
-                "there"
+                f"{folder}: {candidates[0].name} and {candidates[1].name} have one table; keep one "
+                "of them there"
             )
-        sessions |= dict.fromkeys(found, table)
+        sessions |= dict.fromkeys(candidates, table)
     return sessions
 
 
@@ -262,34 +262,36 @@ def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: li
     too.
     """
     if not any((folder / file).is_file() for file in LISTS.values()):
-        for path in _unlabelled(folder):
+        for path in _sure_recordings(folder):
             if path not in sessions:
                 raise ValueError(
                     f"{path} has no table {path.stem}{TABLE}, as others have; write one, or remove "
                     "it"
                 )
-        for table in sorted({*folder.glob(f"*{TABLE}")} - {*sessions.values()}):
+        unused = sorted({*folder.glob(f"*{TABLE}")} - {*sessions.values()})
+        if unused:
+            table = unused[0]
             raise ValueError(
                 f"{table} has no recording {table.name.removesuffix(TABLE)}.*, as others have; "
                 "remove it"
             )
-    in_classes = [path for folder_of_class in classes for path in _unlabelled(folder_of_class)]
-    if in_classes:
+    misplaced = [path for folder_of_class in classes for path in _sure_recordings(folder_of_class)]
+    if misplaced:
         session = next(iter(sessions))
         raise ValueError(
             f"{folder}: expected class folders, or sessions with tables, got both: "
-            f"{in_classes[0].relative_to(folder)} and {session.name}"
+            f"{misplaced[0].relative_to(folder)} and {session.name}"
         )
 
 
-def _unlabelled(folder: Path) -> list[Path]:
+def _sure_recordings(folder: Path) -> list[Path]:
     """The files in a folder that can only be recordings, sorted by name."""
     recordings = [path for path in folder.iterdir() if is_recording(path) and path.is_file()]
     return sorted(path for path in recordings if path.suffix.lower() not in TEXTS)
 
 
-def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
-    """The sessions that a list names; None without the list."""
+def _sessions_in_list(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
+    """The sessions that a list names; None if there is no list."""
     if not file.is_file():
         return None
     try:
@@ -309,9 +311,10 @@ def _sessions_for(
     """The sessions that belong to a part of the data set."""
     if part not in LISTS:
         return sessions
-    listed = {name: _listed(folder / file, sessions) for name, file in LISTS.items()}
+    listed = {name: _sessions_in_list(folder / file, sessions) for name, file in LISTS.items()}
     wanted = listed.pop(part)
     if wanted is None:
+        # all sessions that no other list names
         wanted = set(sessions)
         for others in listed.values():
             wanted -= others or set()
@@ -328,44 +331,45 @@ def _parts(
         rows = _rows(folder / NAMES_FILE, NAMES_COLUMNS)
         names = {row["label"]: row["name"] for _, row in rows}
 
-    found: dict[str, list[LabelledRecording]] = {}
-    seen = set()
+    by_class: dict[str, list[LabelledRecording]] = {}
+    known = set()
     for path, table in sessions.items():
         for number, row in _rows(table, COLUMNS):
-            where = f"{table}: line {number}"
+            place = f"{table}: line {number}"
             label = row["class"]
-            between_us = _times_in(where, row)
+            between_us = _times_in(place, row)
             if names and label not in names:
-                raise ValueError(f"{where}: {NAMES_FILE} does not name class {label}")
+                raise ValueError(f"{place}: {NAMES_FILE} does not name class {label}")
             recording = LabelledRecording(path, between_us)
-            if recording in seen:
+            if recording in known:
                 start_us, end_us = between_us
-                raise ValueError(f"{where}: {start_us} to {end_us} us is there twice")
-            seen.add(recording)
-            found.setdefault(names.get(label, label), []).append(recording)
-    return dict(sorted(found.items(), key=lambda item: _in_order(item[0])))
+                raise ValueError(f"{place}: {start_us} to {end_us} us is there twice")
+            known.add(recording)
+            by_class.setdefault(names.get(label, label), []).append(recording)
+    return dict(sorted(by_class.items(), key=lambda item: _sort_key(item[0])))
 
 
-def _times_in(where: str, row: Mapping[str, str]) -> tuple[int, int]:
+def _times_in(place: str, row: Mapping[str, str]) -> tuple[int, int]:
     """Start and end, in microseconds, in a row of a session's table.
 
     Raises
     ------
-    ValueError : start and end are no times, or the row has no class.
+    ValueError : start or end is not a time, or the row has no class.
     """
     try:
         start_us = int(row["start"])
         end_us = int(row["end"])
     except ValueError:
+        # times that the test below refuses
         start_us = 0
         end_us = 0
     if not 0 <= start_us < end_us or not row["class"]:
         got = one_line(", ".join(row.values()))
-        raise ValueError(f"{where}: expected a class, and whole start < end in us, got {got}")
+        raise ValueError(f"{place}: expected a class, and whole start < end in us, got {got}")
     return start_us, end_us
 
 
-def _in_order(label: str) -> str:
+def _sort_key(label: str) -> str:
     """The text by which classes are sorted: numbers by their value."""
     return label.zfill(9) if label.isdigit() else label
 
@@ -388,7 +392,7 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int,
 
     Parameters
     ----------
-    columns : wanted column -> the names that it may have in the file.
+    columns : wanted column -> the names that the column may have in the file.
 
     Raises
     ------
@@ -399,24 +403,24 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int,
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file, skipinitialspace=True)
             fields = [name for name in rows.fieldnames or () if name]
-            given = {name.strip(): name for name in fields}
-            found = {}
+            name_in_file = {name.strip(): name for name in fields}
+            chosen_names = {}
             for column, names in columns.items():
-                there = [name for name in names if name in given]
-                if not there:
+                present = [name for name in names if name in name_in_file]
+                if not present:
                     raise ValueError(
                         f"{path}: expected a column {' or '.join(names)}, got "
-                        f"{', '.join(given) or 'none'}"
+                        f"{', '.join(name_in_file) or 'none'}"
                     )
-                found[column] = there[0]
-            check_once(path, found.values(), [name.strip() for name in fields])
-            numbered = []
+                chosen_names[column] = present[0]
+            check_once(path, chosen_names.values(), [name.strip() for name in fields])
+            numbered_rows = []
             for row in rows:
                 words = {}
-                for column, name in found.items():
-                    word = row[given[name]] or ""  # None in a row that is too short
+                for column, name in chosen_names.items():
+                    word = row[name_in_file[name]] or ""  # None in a row that is too short
                     words[column] = word.strip()
-                numbered.append((rows.line_num, words))
-            return numbered
+                numbered_rows.append((rows.line_num, words))
+            return numbered_rows
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None

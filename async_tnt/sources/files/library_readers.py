@@ -12,8 +12,8 @@ DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add t
 RVT, eTraM   the same without t_offset; events/width, height: the sensor.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-HDF5 does not include the filters that compress two of these. DSEC's files are compressed by Blosc
-(`pip install hdf5plugin`), Metavision's by ECF (the plugin of Prophesee's hdf5_ecf, which
+HDF5 does not include the filters that compress two of these layouts. DSEC's files are compressed by
+Blosc (`pip install hdf5plugin`), Metavision's by ECF (the plugin of Prophesee's hdf5_ecf, which
 HDF5_PLUGIN_PATH has to name).
 
 References
@@ -35,15 +35,15 @@ from typing import Any
 import numpy as np
 
 MAX_BYTES = 4 << 30
-"""Bytes of addresses that the worker may use. A block takes megabytes, but a damaged file may ask
-for anything."""
+"""Bytes of address space that the worker may use. A block takes megabytes, but a damaged file may
+ask for any number of bytes."""
 
 BLOCK_EVENTS = 1 << 16
 """Number of events that are read together."""
 
 CACHE_BYTES = 1 << 26
-"""Bytes of HDF5's cache for each data set: a chunk that does not fit is decompressed again for
-every block."""
+"""Bytes of HDF5's cache for each data set. A chunk that does not fit into it is decompressed again
+for every block."""
 
 COLUMNS = ("t", "x", "y", "p")
 """Names of the columns of a block, in their order."""
@@ -81,7 +81,7 @@ def start(read: Reader, path: str) -> Any:
 def head_of(read: Reader, path: str) -> tuple[Any, Any]:
     """A file's sensor, and its first block of events, or None if it has no events.
 
-    The file is closed again: HDF5 lets nobody write a file that is open.
+    The file is closed again, because HDF5 lets nobody write a file that is open.
     """
     global _blocks
     head = start(read, path)
@@ -118,8 +118,8 @@ def read_aedat4(path: str) -> Iterator[Any]:
         raise ValueError(f"it must have a stream of events; its streams are: {kinds}")
     track = with_events[0]
     yield None if track.dimensions is None else tuple(map(int, track.dimensions))
-    for found, packet in decoder:
-        if found.id == track.id and found.data_type == "events" and len(packet):
+    for packet_track, packet in decoder:
+        if packet_track.id == track.id and packet_track.data_type == "events" and len(packet):
             yield [packet[name] for name in ("t", "x", "y", "on")]
 
 
@@ -128,7 +128,7 @@ def read_es(path: str) -> Iterator[Any]:
 
     They are DVS events, or the ATIS events that report a change of light.
 
-    faery drops the packet in which it finds damage, and says nothing of a file that ends within an
+    faery drops the packet in which it finds damage. It does not report a file that ends within an
     event.
     """
     from faery.extension import es
@@ -146,6 +146,7 @@ def read_es(path: str) -> Iterator[Any]:
             yield _es_columns(packet, decoder.event_type, height)
             n_read += len(packet)
     except Exception as error:
+        # faery's error for an event off the sensor
         if "overflow" not in str(error):
             raise
         yield from _es_off_sensor(es, path, n_read, height)
@@ -174,10 +175,10 @@ def _es_off_sensor(es: Any, path: str, n_read: int, height: int) -> Iterator[Any
             file.seek(ES_SENSOR_AT)
             file.write(b"\xff" * 4)
         decoder = es.Decoder(str(copy), 0)
-        n_seen = 0
+        n_decoded = 0
         for packet in decoder:
-            new = packet[max(0, n_read - n_seen) :]
-            n_seen += len(packet)
+            new = packet[max(0, n_read - n_decoded) :]
+            n_decoded += len(packet)
             if len(new):
                 yield _es_columns(new, decoder.event_type, height)
 
@@ -214,13 +215,13 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     ValueError : the file has no data sets of events, or they have another type or length than they
         should.
     """
-    what = "events/t, x, y, p"
+    names = "events/t, x, y, p"
     sets = [_find(h5py, file, f"events/{name}") for name in COLUMNS]
     offset = None
     if None not in sets:
         offset = _find(h5py, file, "t_offset")
     else:
-        what = "CD/events"
+        names = "CD/events"
         sets = [_find(h5py, file, "CD/events")]
     if None in sets:
         raise ValueError(
@@ -228,21 +229,21 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
             f"{sorted(file)[:8]}"
         )
 
-    _check_stored(h5py, what, sets if offset is None else [*sets, offset])
+    _check_stored(h5py, names, sets if offset is None else [*sets, offset])
     offset_us = 0 if offset is None else _offset_us(offset)
-    _check_types(what, sets)
+    _check_types(names, sets)
     for data in sets:
         _check_filters(h5py, data)
         _check_complete(data)
     return sets, offset_us
 
 
-def _check_stored(h5py: Any, what: str, sets: list[Any]) -> None:
+def _check_stored(h5py: Any, names: str, sets: list[Any]) -> None:
     """Refuse an object that is no data set, or a data set with its values in other files."""
     for data in sets:
         if not isinstance(data, h5py.Dataset):
             raise ValueError(
-                f"{what} and `t_offset` must be data sets, but {data.name} is a "
+                f"{names} and `t_offset` must be data sets, but {data.name} is a "
                 f"{type(data).__name__}"
             )
         if data.is_virtual or data.id.get_create_plist().get_external_count():
@@ -252,11 +253,11 @@ def _check_stored(h5py: Any, what: str, sets: list[Any]) -> None:
             )
 
 
-def _check_types(what: str, sets: list[Any]) -> None:
+def _check_types(names: str, sets: list[Any]) -> None:
     """Refuse data sets that are not of equal lengths, or not of whole numbers."""
     shapes = {data.shape for data in sets}
     if len(shapes) != 1 or any(len(shape) != 1 for shape in shapes):
-        raise ValueError(f"{what} must have one dimension and equal lengths, got {sorted(shapes)}")
+        raise ValueError(f"{names} must have one dimension and equal lengths, got {sorted(shapes)}")
     types = [data.dtype for data in sets]
     if len(sets) == 1:
         if not set(COLUMNS) <= set(types[0].names or ()):
@@ -265,7 +266,7 @@ def _check_types(what: str, sets: list[Any]) -> None:
     for name, dtype in zip(COLUMNS, types, strict=True):
         allowed = "iub" if name == "p" else "iu"
         if dtype.kind not in allowed:
-            raise ValueError(f"{what} must be whole numbers, got {', '.join(map(str, types))}")
+            raise ValueError(f"{names} must be whole numbers, got {', '.join(map(str, types))}")
 
 
 def _offset_us(offset: Any) -> int:
@@ -280,31 +281,31 @@ def _offset_us(offset: Any) -> int:
 
 def _find(h5py: Any, file: Any, path: str) -> Any:
     """The object at a path, or None. HDF5 itself would follow links to other files."""
-    found = file
+    node = file
     for name in path.split("/"):
-        link = found.get(name, getlink=True) if isinstance(found, h5py.Group) else None
+        link = node.get(name, getlink=True) if isinstance(node, h5py.Group) else None
         if link is None:
             return None
         if not isinstance(link, h5py.HardLink):
             raise ValueError(f"{name} must be stored in the file itself, but it is a link")
-        found = found[name]
-    return found
+        node = node[name]
+    return node
 
 
 def _check_filters(h5py: Any, data: Any) -> None:
     """Refuse a data set that is compressed by a filter that is missing here."""
     plist = data.id.get_create_plist()
     for i in range(plist.get_nfilters()):
-        code, _, _, name = plist.get_filter(i)
-        if h5py.h5z.filter_avail(code):
+        number, _, _, name = plist.get_filter(i)
+        if h5py.h5z.filter_avail(number):
             continue
         with suppress(ImportError):
             import_module("hdf5plugin")  # registers its filters
-        if not h5py.h5z.filter_avail(code):
+        if not h5py.h5z.filter_avail(number):
             hint = ECF_HINT
-            if code != ECF:
+            if number != ECF:
                 name = name.decode("ascii", "backslashreplace").split(";")[0] or "a filter"
-                hint = f"{name} (filter {code}), which is missing: {PLUGIN_HINT}"
+                hint = f"{name} (filter {number}), which is missing: {PLUGIN_HINT}"
             raise ValueError(f"its events are compressed by {hint}")
 
 
@@ -314,17 +315,17 @@ def _check_complete(data: Any) -> None:
     HDF5 would read zeros there, as many as the header claims.
     """
     if data.chunks is None:
-        what = "bytes"
-        needed = data.size * data.dtype.itemsize
-        have = data.id.get_storage_size()
+        unit = "bytes"
+        n_needed = data.size * data.dtype.itemsize
+        n_present = data.id.get_storage_size()
     else:
-        what = "chunks"
-        needed = -(-data.size // data.chunks[0])
-        have = data.id.get_num_chunks()
-    if have < needed:
+        unit = "chunks"
+        n_needed = -(-data.size // data.chunks[0])  # rounded up
+        n_present = data.id.get_num_chunks()
+    if n_present < n_needed:
         raise ValueError(
-            f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} "
-            f"{what}"
+            f"{data.name} claims {data.size} events, but the file holds {n_present} of their "
+            f"{n_needed} {unit}"
         )
 
 

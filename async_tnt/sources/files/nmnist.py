@@ -6,9 +6,9 @@
     byte 3   bits 15-8 of the time
     byte 4   bits 7-0 of the time, in microseconds
 
-Events are in order of time. At each overflow row the camera's timer had lost 2^13 us: this row and
-every later one is that much later than stored. N-Caltech101 uses the same layout on a larger
-sensor.
+Events are in order of time. At each overflow row the camera's timer has lost 2^13 us, so the times
+of this row and of every later one are that much later than stored. N-Caltech101 uses the same
+layout on a larger sensor.
 
 References
 ----------
@@ -78,10 +78,10 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     problem = ""
     backwards = np.flatnonzero(np.diff(events["t"]) < 0)
     if len(backwards):
-        bad = int(backwards[0]) + 1
+        i = int(backwards[0]) + 1
         problem = (
-            f"event {bad}: `t` must never decrease, got {events['t'][bad]} us after "
-            f"{events['t'][bad - 1]} us (byte {event_rows[bad] * BYTES_PER_EVENT})"
+            f"event {i}: `t` must never decrease, got {events['t'][i]} us after "
+            f"{events['t'][i - 1]} us (byte {event_rows[i] * BYTES_PER_EVENT})"
         )
     elif n_left:
         problem = (

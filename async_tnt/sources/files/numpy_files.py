@@ -76,11 +76,11 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
     ValueError : there is no header, its array is of Python objects, or its array does not fill the
         rest of the file. The message is one line without the file's name.
     """
-    start = file.read(8)
-    if len(start) < 8 or not start.startswith(MAGIC):
-        raise ValueError(f"it must begin with {MAGIC!r}, got {start!r}")
+    prefix = file.read(8)
+    if len(prefix) < 8 or not prefix.startswith(MAGIC):
+        raise ValueError(f"it must begin with {MAGIC!r}, got {prefix!r}")
 
-    if start[6] == 1:  # the version of the format
+    if prefix[6] == 1:  # the version of the format
         length_bytes = 2
         read_header = np.lib.format.read_array_header_1_0
     else:
@@ -92,7 +92,7 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
         with warnings.catch_warnings():  # Python's compiler warns about damaged literals
             warnings.simplefilter("ignore")
             shape, is_fortran, dtype = read_header(BytesIO(length + header))
-        claimed = np.broadcast_to(np.empty((), dtype), shape)
+        described = np.broadcast_to(np.empty((), dtype), shape)
     # NumPy evaluates the header as a Python literal: SyntaxError, TokenError, RecursionError, ...
     except Exception:
         raise ValueError("its header does not describe an array") from None
@@ -101,13 +101,13 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
         raise ValueError(
             "it holds Python objects, which are not unpickled; save it as an array of numbers"
         )
-    n_left = size - file.tell()
-    if math.prod(shape) * dtype.itemsize != n_left or dtype.subdtype is not None:
+    n_bytes_left = size - file.tell()
+    if math.prod(shape) * dtype.itemsize != n_bytes_left or dtype.subdtype is not None:
         raise ValueError(
-            f"its header claims an array of {str(dtype)[:200]} in shape {shape}, but {n_left} "
-            "bytes follow"
+            f"its header claims an array of {str(dtype)[:200]} in shape {shape}, but "
+            f"{n_bytes_left} bytes follow"
         )
-    return claimed, is_fortran
+    return described, is_fortran
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
@@ -266,21 +266,22 @@ def _columns(order: str | None, *arrays: np.ndarray) -> Four:
                 "expected a structured array with fields t, x, y, p or an (N, 4) array of those "
                 f"columns, got shape {array.shape} of {array.dtype}"
             )
-        arrays = _in_order(array, order) if array.dtype.kind in "iu" else tuple(array.T)
+        # A table of another type is refused below, with the name of a column.
+        arrays = _table_columns(array, order) if array.dtype.kind in "iu" else tuple(array.T)
     columns = named_columns(arrays if len(arrays) > 1 else array)
     if columns is None:
-        nothing = np.empty(0, np.int64)
-        columns = (nothing, nothing, nothing, nothing)
+        no_values = np.empty(0, np.int64)
+        columns = (no_values, no_values, no_values, no_values)
     t, x, y, p = columns
     is_whole = all(column.dtype.kind in "iu" for column in (t, x, y)) and p.dtype.kind in "iub"
     if not is_whole or any(column.ndim != 1 for column in columns):
-        # this raises an error that names what is wrong; it needs no values for that
+        # this raises an error that names the column and its type; it needs no values for that
         empty = [column[:0] if column.ndim == 1 else column for column in columns]
         checked_columns(empty[0], empty[1], empty[2], empty[3], ANY_SENSOR)
     return columns
 
 
-def _in_order(table: np.ndarray, order: str | None) -> Four:
+def _table_columns(table: np.ndarray, order: str | None) -> Four:
     """The columns t, x, y, p of a table.
 
     Parameters
@@ -291,12 +292,13 @@ def _in_order(table: np.ndarray, order: str | None) -> Four:
     ------
     SourceError : no order is stated, and the numbers look like another order than t, x, y, p.
     """
-    usual = "txyp"
-    likely = likely_order(table, usual) if order is None else usual
-    if likely != usual:
+    usual_order = "txyp"
+    likely = likely_order(table, usual_order) if order is None else usual_order
+    if likely != usual_order:
+        # {columns} stands for the name of the parameter, see `SourceError`.
         raise SourceError(
             "",
-            f"the columns are not {usual!r}; they look like {likely!r}: state their order with "
-            "{columns}, or save a structured array",
+            f"the columns are not {usual_order!r}; they look like {likely!r}: state their order "
+            "with {columns}, or save a structured array",
         )
-    return event_columns(table, order or usual)
+    return event_columns(table, order or usual_order)

@@ -76,8 +76,8 @@ def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.
         if first_us is None:
             first_us = int(due_us[0])
         # events with the same number go into one packet
-        number = (due_us - first_us) // packet_us
-        cuts = np.flatnonzero(number[1:] != number[:-1]) + 1
+        packet_number = (due_us - first_us) // packet_us
+        cuts = np.flatnonzero(packet_number[1:] != packet_number[:-1]) + 1
         starts = [0, *cuts.tolist()]
         ends = [*cuts.tolist(), len(packet)]
         for start, end in zip(starts, ends, strict=True):

@@ -1,8 +1,8 @@
 """Prophesee's files: RAW (`.raw`) in EVT2, EVT2.1 and EVT3, and DAT (`.dat`).
 
-Both begin with a header, lines that begin with `% `. After it, a RAW file has words, which
-`kernels/sources/evt.py` decodes. A DAT file has, after the header, two bytes: the type of its
-events (0x00 and 0x0C: pixels) and the size of one, 8. Then its events follow, little-endian:
+Both begin with a header, lines that begin with `% `. After the header, a RAW file has words, which
+`kernels/sources/evt.py` decodes. A DAT file has two bytes there: the type of its events (0x00 and
+0x0C: pixels) and the size of one event, 8. Then its events follow, little-endian:
 
     32 bits    t, in microseconds
     32 bits    version 2: x: 14 bits, y: 14, p: 4
@@ -55,7 +55,7 @@ class EvtVersion:
     ----------
     decode : the kernel that decodes its words.
     word : type of a word, as the kernel takes it.
-    n_bytes : bytes that belong together.
+    n_bytes : bytes of the smallest part that can be decoded: a word, or a pair of words.
     """
 
     decode: Callable[..., tuple[int, int]]
@@ -80,10 +80,10 @@ DAT_PERIOD_US = 1 << 32
 """Microseconds after which a DAT file's clock wraps."""
 
 DAT_SIDE = 1 << 14
-"""Pixels of the longest side that version 2 of DAT can say."""
+"""Pixels of the longest side that version 2 of DAT can state."""
 
 DAT_PIXEL_EVENTS = (0x00, 0x0C)
-"""Types of events in a DAT file that are of pixels."""
+"""Types of events in a DAT file that come from pixels."""
 
 DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}
 """Version of DAT -> first bit and number of bits of x, of y and of p in an event's second word."""
@@ -129,13 +129,14 @@ class Header:
         """Fill `fields` and `length`."""
         with self.path.open("rb") as file:
             data = file.read(MAX_HEADER_BYTES)
-        # an event's first byte can be a %, but hardly a line of text follows
+        # The first event may begin with a %, but its bytes are hardly a line of text.
         while data.startswith(b"% ", self.length):
             end = data.find(b"\n", self.length)
             line = data[self.length : end if end >= 0 else len(data)].rstrip(b"\r")
             if not is_text(line):
                 break
             if end < 0:
+                # A line that goes on behind the bytes that were read belongs to no header.
                 if len(data) < MAX_HEADER_BYTES:
                     beginning = line.decode(errors="replace")[:80]
                     raise ValueError(
@@ -143,10 +144,10 @@ class Header:
                     )
                 break
             self.length = end + 1
-            keyword, _, rest = line[2:].decode(errors="replace").strip().partition(" ")
+            keyword, _, value = line[2:].decode(errors="replace").strip().partition(" ")
             if keyword.lower() == "end":
                 break
-            self.fields[keyword.lower()] = rest.strip()
+            self.fields[keyword.lower()] = value.strip()
 
     def _sensor(self) -> Sensor | None:
         """The sensor's sides (width, height); None if the header does not state both."""
@@ -165,9 +166,9 @@ class Header:
         """The words for the sensor's sides; None without them."""
         if "geometry" in self.fields:
             return self.fields["geometry"].lower().split("x")
-        for where in (self.options, self.fields):
-            if "width" in where and "height" in where:
-                return [where["width"], where["height"]]
+        for words in (self.options, self.fields):
+            if "width" in words and "height" in words:
+                return [words["width"], words["height"]]
         return None
 
 
@@ -189,7 +190,8 @@ class EvtSource(Source):
         self._version = EVT_VERSIONS[version]
         self._start = header.length
         self._t0_us = header.t0_us
-        # IMX636 and older send the upper half of a 64-bit word first, which the header calls legacy
+        # The IMX636 and older sensors send the upper half of a 64-bit word first. The header calls
+        # this order `legacy`.
         endianness = header.options.get("endianness", "little" if header.format else "legacy")
         self._halves_swapped = version == "2.1" and endianness != "legacy"
         if version == "2.1" and endianness not in ("legacy", "little"):
@@ -237,15 +239,15 @@ def decoded_words(
     state : state of the decoder; `INITIAL` before the first words; updated in place.
     columns : t, x, y, p, for the kernel to write to.
     """
-    done = 0
-    while done < len(words):
-        n, done = decode(words, done, state, *columns)
+    n_done = 0
+    while n_done < len(words):
+        n, n_done = decode(words, n_done, state, *columns)
         if n:
             yield structured(columns, n)
 
 
 def refuse_unplaced(state: np.ndarray, n_events: int) -> None:
-    """Refuse words that had events, but none with a time and a row.
+    """Refuse words of events without a time or a row, if no event has both.
 
     Raises
     ------
@@ -308,11 +310,15 @@ class DatSource(Source):
             raise ValueError(f"{path}: the header's Version must be 1 or 2, got {version!r}")
         with path.open("rb") as file:
             file.seek(header.length)
-            kind = file.read(2)
-        if len(kind) < 2 or kind[0] not in DAT_PIXEL_EVENTS or kind[1] != DAT_EVENT_BYTES:
+            type_and_size = file.read(2)
+        if (
+            len(type_and_size) < 2
+            or type_and_size[0] not in DAT_PIXEL_EVENTS
+            or type_and_size[1] != DAT_EVENT_BYTES
+        ):
             raise ValueError(
                 f"{path}: after the header there must be a type of events, 0 or 12, and their "
-                f"size, 8; got {list(kind)}"
+                f"size, 8; got {list(type_and_size)}"
             )
         self.path = path
         self.sensor = header.sensor
@@ -330,8 +336,8 @@ class DatSource(Source):
                 words = np.frombuffer(chunk, "<u4", 2 * n_events).reshape(-1, 2)
                 t = words[:, 0].astype(np.int64)
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(DAT_PERIOD_US)))
-                pixel = words[:, 1]
-                x, y, p = [(pixel >> first) & ((1 << bits) - 1) for first, bits in self._fields]
+                pixels = words[:, 1]
+                x, y, p = [(pixels >> first) & ((1 << bits) - 1) for first, bits in self._fields]
                 events, problem = valid_events(t + self._t0_us, x, y, p)
                 yield events
                 n_read += len(events)

@@ -2,9 +2,8 @@
 
 The reader is found by the file's suffix, and by its first bytes where a suffix can mean several
 formats. A new format is one more entry in `READERS`: its suffix, and a function of a path and
-`ReadOptions` that returns a `Source`. If the suffix is there for other formats already, the first
-bytes of the new format go into `BY_FIRST_BYTES`, and its name into the message of
-`_open_by_content`.
+`ReadOptions` that returns a `Source`. If other formats have this suffix already, the first bytes of
+the new format go into `BY_FIRST_BYTES`, and its name goes into the message of `_open_by_content`.
 """
 
 from __future__ import annotations
@@ -62,14 +61,14 @@ BY_FIRST_BYTES: dict[bytes, Reader] = {
 def _open_by_content(path: Path, options: ReadOptions) -> Source:
     """Open a file by its first bytes: many programs write `.raw`, `.dat`, `.h5` and `.aedat`."""
     with path.open("rb") as file:
-        start = file.read(4096)
-    for magic, open_it in BY_FIRST_BYTES.items():
-        if start.startswith(magic):
-            return open_it(path, options)
-    if not start:
+        first_bytes = file.read(4096)
+    for magic, open_file in BY_FIRST_BYTES.items():
+        if first_bytes.startswith(magic):
+            return open_file(path, options)
+    if not first_bytes:
         raise ValueError(f"{path}: the file is empty")
-    if start.startswith(b"%"):
-        header = start.lower()
+    if first_bytes.startswith(b"%"):
+        header = first_bytes.lower()
         if b"% evt " in header or b"% format evt" in header:
             return EvtSource(path, options)
         if path.suffix.lower() == ".dat":
@@ -77,7 +76,7 @@ def _open_by_content(path: Path, options: ReadOptions) -> Source:
     raise ValueError(
         f"{path}: its first bytes are not those of a known format: expected a header of EVT (with "
         "a line `% evt 3.0` or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 "
-        f"or 4, ES or HDF5; got {start[:16]!r}"
+        f"or 4, ES or HDF5; got {first_bytes[:16]!r}"
     )
 
 
@@ -167,22 +166,22 @@ class Recording:
         self.stated_sensor = self.source.sensor
         self.format = self.source.format
         self._totals: _Totals | None = None
-        self._told: set[type[UserWarning]] = set()
+        self._warned: set[type[UserWarning]] = set()
 
     @property
     def counts(self) -> RecordingCounts:
         """What became of the recording's events."""
-        return self._counted().counts
+        return self._totals_of_pass().counts
 
     @property
     def n_events(self) -> int:
         """Events that are handed on."""
-        return self._counted().counts.kept
+        return self._totals_of_pass().counts.kept
 
     @property
     def earliest_us(self) -> int:
         """Time of the earliest event, in microseconds; 0 without events."""
-        return self._counted().earliest_us
+        return self._totals_of_pass().earliest_us
 
     @property
     def duration_us(self) -> int:
@@ -190,7 +189,7 @@ class Recording:
 
         0 for fewer than two events.
         """
-        totals = self._counted()
+        totals = self._totals_of_pass()
         return totals.newest_us - totals.earliest_us
 
     def read(self) -> np.ndarray:
@@ -216,7 +215,7 @@ class Recording:
 
     def __len__(self) -> int:
         """The number of packets in the recording."""
-        return -(-self.n_events // self.packet_events)
+        return -(-self.n_events // self.packet_events)  # rounded up
 
     def __repr__(self) -> str:
         # without counts, which may take a pass over gigabytes
@@ -224,7 +223,7 @@ class Recording:
             f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
         )
 
-    def _counted(self) -> _Totals:
+    def _totals_of_pass(self) -> _Totals:
         """The totals of a whole pass over the file. If no pass was made yet, this makes one."""
         if self._totals is None:
             for _ in self._blocks():
@@ -239,7 +238,7 @@ class Recording:
         earliest_us = 0
         newest_us = 0
         try:
-            for events in self._on_sensor(check):
+            for events in self._events_on_sensor(check):
                 if not len(events):
                     continue
                 first_us = int(events["t"].min())
@@ -256,7 +255,7 @@ class Recording:
             left_out = "it is left out" if check.n_off == 1 else "they are left out"
             self._warn(EventsOffSensor, f"{self.path}: {check}; {left_out}")
 
-    def _on_sensor(self, check: SensorCheck) -> Iterator[np.ndarray]:
+    def _events_on_sensor(self, check: SensorCheck) -> Iterator[np.ndarray]:
         """The events of the part that is read, without events off the sensor.
 
         Raises
@@ -266,10 +265,11 @@ class Recording:
         CorruptData : see `Source`; also if the events off the sensor become too many only later in
             the file.
         """
-        for k, events in enumerate(gathered(self._part())):
-            off = check.off(events)
+        for k, events in enumerate(gathered(self._events_between())):
+            is_off = check.find_off(events)
             if check.n_off and self.off_sensor == "raise":
-                yield events[: int(np.argmax(off))].astype(EVENT_DTYPE, copy=False)
+                # This block has the first event off the sensor of this pass.
+                yield events[: int(np.argmax(is_off))].astype(EVENT_DTYPE, copy=False)
                 raise SourceError(str(self.path), f"{check}{self._sensor_hint()}")
             if check.is_another_sensor and k > 0:
                 raise CorruptData(f"{check}, where before it there were few")
@@ -278,11 +278,11 @@ class Recording:
                     str(self.path),
                     f"{check}: the recording is of another sensor, or damaged{self._sensor_hint()}",
                 )
-            if off.any():
-                events = events[~off].astype(EVENT_DTYPE)
+            if is_off.any():
+                events = events[~is_off].astype(EVENT_DTYPE)
             yield events
 
-    def _part(self) -> Iterator[np.ndarray]:
+    def _events_between(self) -> Iterator[np.ndarray]:
         """The source's blocks, or only their events between the two times of `between_us`."""
         if self.between_us is None:
             yield from self.source.blocks()
@@ -312,8 +312,8 @@ class Recording:
 
     def _warn(self, category: type[UserWarning], text: str) -> None:
         """Warn, in the first pass that finds it."""
-        if category not in self._told:
-            self._told.add(category)
+        if category not in self._warned:
+            self._warned.add(category)
             warnings.warn(text, category, stacklevel=5)
 
 
@@ -356,8 +356,8 @@ def open_recording(
         events so far, or more than half of the events so far. (This is judged with every 65,536
         events. After the first of these, too many count as damage.)
 
-    An option that a format does not need changes nothing: its files state the same, or have no such
-    thing.
+    An option that a format does not need changes nothing, because its files state the same, or have
+    no such thing.
 
     Returns
     -------

@@ -50,6 +50,7 @@ class RosBagSource(WorkerSource):
         state = np.array(INITIAL, np.int64)
         n_events = 0
         for _, arrays in blocks:
+            # four columns, or one array of EVT3 words, see `Block`
             if len(arrays) == 4:
                 t, x, y, p = arrays
                 yield from valid_blocks([(t, x, y, p)])

@@ -23,7 +23,7 @@ from its start:
 
     bits 15-12     bits 11-0
     0 TIME_HIGH    bits 23-12 of the time in microseconds since `time_base`, which is in nanoseconds
-    1 TIME_LOW     bits 11-0 of it
+    1 TIME_LOW     bits 11-0 of this time
     2 ADDR_X       x (11 bits) of the events that follow
     3 ADDR_Y       one event: polarity (bit 11), y (11 bits)
     4 VECT_BASE_Y  polarity (bit 11), y (11 bits) of the vectors that follow
@@ -70,7 +70,7 @@ BLOCK_BYTES = 1 << 17
 """Bytes of events after which the messages so far are sent together."""
 
 BLOCK_MESSAGES = 1_000
-"""The most messages that are sent together: some hold no events."""
+"""The most messages that are sent together. Messages without events never reach BLOCK_BYTES."""
 
 MAX_SIDE = 1 << 16
 """Pixels of the longest side that a message may state."""
@@ -93,7 +93,7 @@ CDR_PADDING_BYTES = 3
 """The most bytes without a meaning at the end of a message in CDR."""
 
 CDR_EVENT_BYTES = 16
-"""Bytes from an event of an EventArray in CDR to the next."""
+"""Bytes from the start of an event of an EventArray in CDR to the start of the next event."""
 
 ROS_1_EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("sec", "<u4"), ("nsec", "<u4"), ("p", "u1")])
 """An event of an EventArray in ROS 1."""
@@ -142,25 +142,26 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
 def _open(path: str) -> tuple[Any, bool]:
     """The opened bag, and whether it is of ROS 1."""
     with open(path, "rb") as file:
-        start = file.read(len(SQLITE))
-    if start.startswith(BAG_1):
+        first_bytes = file.read(len(SQLITE))
+    if first_bytes.startswith(BAG_1):
         from rosbags.rosbag1 import Reader as Reader1
 
         bag: Any = Reader1(path)
     else:
         from rosbags.rosbag2 import Reader as Reader2
 
-        if start == SQLITE:
-            # quoted, as the path becomes a part of an URI
+        if first_bytes == SQLITE:
+            # quoted, as the path becomes a part of a URI
             bag = Reader2.STORAGE_PLUGINS[".db3"](Path(quote(path)))
-        elif start.startswith(MCAP):
+        elif first_bytes.startswith(MCAP):
             bag = Reader2.STORAGE_PLUGINS[".mcap"](Path(path))
         else:
             raise ValueError(
-                f"it must begin as a bag of ROS 1, an SQLite or an MCAP file does, got {start!r}"
+                "it must begin as a bag of ROS 1, an SQLite or an MCAP file does, got "
+                f"{first_bytes!r}"
             )
     bag.open()
-    return bag, start.startswith(BAG_1)
+    return bag, first_bytes.startswith(BAG_1)
 
 
 def _message_counts(connections: list[Any]) -> dict[tuple[str, str], int]:
@@ -187,11 +188,11 @@ def _chosen_topic(counts: dict[tuple[str, str], int], topic: str | None) -> str:
         The message lists the topics.
     """
     with_events = [name for name, kind in sorted(counts) if kind in MESSAGE_TYPES]
-    lines = [f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items())]
-    listed = ", ".join(lines) or "none"
+    descriptions = [f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items())]
+    topic_list = ", ".join(descriptions) or "none"
     if not with_events:
         raise ValueError(
-            f"it must have a topic of {' or '.join(MESSAGE_TYPES)}; its topics are: {listed}"
+            f"it must have a topic of {' or '.join(MESSAGE_TYPES)}; its topics are: {topic_list}"
         )
     if topic is None and len(with_events) > 1:
         rule = f"several topics have events, choose one by {{topic}}: {', '.join(with_events)}"
@@ -201,7 +202,7 @@ def _chosen_topic(counts: dict[tuple[str, str], int], topic: str | None) -> str:
         raise SourceError(
             "",
             f"{{topic}} must be one of {', '.join(with_events)}, got {wanted!r}; all topics: "
-            f"{listed}",
+            f"{topic_list}",
         )
     return wanted
 
@@ -219,7 +220,7 @@ def _messages(bag: Any, connections: list[Any], is_ros_1: bool) -> Iterator[Mess
 
 
 def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
-    """Blocks of several messages. Messages before damage are sent before its error is raised."""
+    """Blocks of several messages. After an error, the messages before it are sent first."""
     sensor, events = first
     waiting = [events]
     n_bytes = sum(column.nbytes for column in events)
@@ -243,9 +244,9 @@ def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
     yield _joined(waiting)
 
 
-def _joined(waiting: list[list[np.ndarray]]) -> Block:
+def _joined(messages: list[list[np.ndarray]]) -> Block:
     """The events of several messages, end to end."""
-    return len(waiting), [np.concatenate(columns) for columns in zip(*waiting, strict=True)]
+    return len(messages), [np.concatenate(columns) for columns in zip(*messages, strict=True)]
 
 
 def _decompressed(data: bytes) -> bytes:
@@ -303,17 +304,17 @@ class _Cursor:
     def end(self) -> None:
         """Refuse bytes after the last field. CDR may end with up to three."""
         n_left = len(self._data) - self.place
-        most = 0 if self.is_ros_1 else CDR_PADDING_BYTES
-        if n_left > most:
+        n_allowed = 0 if self.is_ros_1 else CDR_PADDING_BYTES
+        if n_left > n_allowed:
             raise ValueError(
                 f"it has {n_left} bytes more than its fields; its type has been changed"
             )
 
 
-def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
-    """The sensor's sides (width, height); None where they are not known.
+def _read_sensor(cursor: _Cursor) -> tuple[int, int] | None:
+    """Read a message up to the end of its sides, and return them: (width, height).
 
-    A message is read up to and with its sides.
+    None if both are 0, which means that they are not known.
     """
     if cursor.is_ros_1:
         cursor.number("I")  # seq
@@ -336,7 +337,7 @@ def _event_packet(cursor: _Cursor) -> Message:
 
     `time_base` does not change the times of EVT3.
     """
-    sensor = _sensor_of(cursor)
+    sensor = _read_sensor(cursor)
     cursor.number("Q")  # seq
     time_base_ns = cursor.number("Q")
     encoding = cursor.bytes(cursor.number("I")).rstrip(b"\0").decode("utf-8", "backslashreplace")
@@ -374,21 +375,25 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
     # each vector after a base moves the base by 8 pixels
     n_vectors = np.cumsum(is_vector) - is_vector
     is_base = kind == VECT_BASE_Y
-    base = _latest(value, is_base)
-    y = np.where(is_event, value, base) & 0x7FF
-    y += np.where(is_vector, 8 * (n_vectors - _latest(n_vectors, is_base)), 0)
-    polarity = np.where(is_event, value, base) >> 11
+    base_value = _latest(value, is_base)
+    y = np.where(is_event, value, base_value) & 0x7FF
+    n_since_base = n_vectors - _latest(n_vectors, is_base)
+    y += np.where(is_vector, 8 * n_since_base, 0)
+    polarity = np.where(is_event, value, base_value) >> 11
 
     # events without a place, before the first ADDR_X or the first base
     has_pixel &= (np.cumsum(kind == ADDR_X) > 0)[:, None]
     has_pixel[is_vector] &= (np.cumsum(is_base) > 0)[is_vector, None]
-    word, pixel = np.nonzero(has_pixel)
+    row, pixel = np.nonzero(has_pixel)
     x = _latest(value, kind == ADDR_X) & 0x7FF
-    return [time_base_ns // 1_000 + time_us[word], x[word], y[word] + pixel, polarity[word]]
+    return [time_base_ns // 1_000 + time_us[row], x[row], y[row] + pixel, polarity[row]]
 
 
 def _latest(values: np.ndarray, is_new: np.ndarray) -> np.ndarray:
-    """For each place, the value at the latest place up to it that `is_new`; 0 before the first."""
+    """For each place, the value at the latest place, up to this one, where `is_new` is True.
+
+    It is 0 before the first such place.
+    """
     place = np.maximum.accumulate(np.where(is_new, np.arange(len(values)), -1))
     return np.where(place >= 0, values[place], 0)
 
@@ -398,7 +403,7 @@ def _event_array(cursor: _Cursor) -> Message:
 
     Times in nanoseconds become microseconds, to the nearest one.
     """
-    sensor = _sensor_of(cursor)
+    sensor = _read_sensor(cursor)
     n_events = cursor.number("I")
     columns = _ros_1_events(cursor, n_events) if cursor.is_ros_1 else _cdr_events(cursor, n_events)
     cursor.end()
@@ -423,6 +428,7 @@ def _cdr_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
     if n_events == 0:
         return [np.zeros(0, np.int64)] * 5
     cursor.align(4)
+    # the last event ends with p, three bytes before the end of its row
     data = cursor.bytes(n_events * CDR_EVENT_BYTES - 3)
     order = cursor.order
     row = np.dtype(

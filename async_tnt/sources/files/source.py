@@ -156,26 +156,26 @@ def valid_events(
 ) -> tuple[np.ndarray, str]:
     """Columns of any integer type as events, up to the first invalid event.
 
-    An event is invalid if its time or polarity is impossible.
+    An event is invalid if its time or its polarity is impossible. Any pixel is valid here.
 
     Returns
     -------
     The events before the first invalid event, of `EVENT_DTYPE` or, if a pixel does not fit it, of
     `WIDE_DTYPE`; and a text that says what is wrong with the invalid event, "" if all are valid.
     """
-    off = p == 0
+    is_off = p == 0
     if p.dtype.kind == "i":
-        off |= p == -1
-    bad = (t < 0) | (t >= MAX_TIME_US) | ~(off | (p == 1))
+        is_off |= p == -1
+    is_invalid = (t < 0) | (t >= MAX_TIME_US) | ~(is_off | (p == 1))
     n = len(t)
     problem = ""
-    if bad.any():
-        n = int(np.argmax(bad))
+    if is_invalid.any():
+        n = int(np.argmax(is_invalid))
         problem = f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
     if _fits(x[:n]) and _fits(y[:n]):
-        return structured((t, x, y, ~off), n), problem
+        return structured((t, x, y, ~is_off), n), problem
 
-    return structured((t, _within_int64(x), _within_int64(y), ~off), n, WIDE_DTYPE), problem
+    return structured((t, _within_int64(x), _within_int64(y), ~is_off), n, WIDE_DTYPE), problem
 
 
 def _fits(pixel: np.ndarray) -> bool:
@@ -220,9 +220,9 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
 
 def is_text(line: bytes) -> bool:
-    """Whether a line of a header is text. Binary data that follows a header hardly is.
+    """Whether a line of a header is text. Binary data that follows a header is hardly ever text.
 
-    Programs write in the encoding of their system: a few bytes may be anything.
+    Programs write in the encoding of their system, so a few bytes may be anything.
     """
     if 8 * sum(byte > 0x7F for byte in line) <= len(line):
         line = line.translate(ONLY_ASCII)

@@ -1,7 +1,7 @@
 """Text with an event per row: UZH's layout (`.txt`) and CSV (`.csv`, `.tsv`, `.txt`).
 
-UZH    t x y p between blanks, t in seconds. Before them there may be a line with the sensor's
-       width and height:
+UZH    t x y p between blanks, t in seconds. Before the rows there may be a line with the
+       sensor's width and height:
 
            240 180
            0.003811000 96 133 0
@@ -58,8 +58,8 @@ ORDER_ROWS = 1_000
 """Number of rows, from the first on, by which the order of the columns is judged."""
 
 MAX_ROW_BYTES = 1 << 16
-"""Bytes of the longest row. In as many bytes at a file's beginning, header and sensor are looked
-for."""
+"""Bytes of the longest row. The header and the sensor are looked for in as many bytes at the
+beginning of a file."""
 
 COMMENTS = ("#", "%")
 """First characters of lines that are comments."""
@@ -77,7 +77,7 @@ METAVISION_ORDER = "xypt"
 """Order of the columns in a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
 
 MAX_WHOLE = 1 << 53
-"""Every whole number below this one is exact in float64."""
+"""Every whole number below this number is exact in float64."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 """A decimal number."""
@@ -118,14 +118,14 @@ class TextSource(Source):
     sensor: Sensor | None = None
 
     def blocks(self) -> Iterator[np.ndarray]:
-        return valid_blocks(self._parsed(CHUNK_BYTES))
+        return valid_blocks(self._parse(CHUNK_BYTES))
 
     def check_first(self) -> None:
-        for block in valid_blocks(self._parsed(FIRST_BYTES)):
+        for block in valid_blocks(self._parse(FIRST_BYTES)):
             if len(block):
                 return
 
-    def _parsed(self, chunk_bytes: int) -> Iterator[Four]:
+    def _parse(self, chunk_bytes: int) -> Iterator[Four]:
         """Columns of whole numbers, part by part.
 
         Raises
@@ -135,7 +135,8 @@ class TextSource(Source):
         line = self.line
         for text, ends_with_line in self._chunks(chunk_bytes):
             rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
-            # Where the file ends in the middle of a row, its last number may have lost digits. A
+            # `text` ends with a line end, so rows[-1] is empty and rows[-2] is the last row. Where
+            # the file ends in the middle of this row, the last number may have lost digits. A
             # polarity cannot lose any, as it has one digit.
             needs_line_end = bool(rows[-2]) and self.columns[-1] not in ("", "p")
             is_complete = ends_with_line or not needs_line_end
@@ -169,7 +170,7 @@ class TextSource(Source):
             (name, "f8") if name else (f"skipped {i}", "U1") for i, name in enumerate(self.columns)
         ]
         converters: Any = None
-        # a function for each polarity is slow: it is called only if some may be words
+        # A call of a function for each polarity is slow, so this is done only if some may be words.
         if _WORD.search("\n".join(rows)):
             converters = {self.columns.index("p"): _polarity}
         try:
@@ -194,9 +195,9 @@ class TextSource(Source):
         return t, x, y, p
 
     def _chunks(self, chunk_bytes: int) -> Iterator[tuple[bytes, bool]]:
-        """Whole rows of the file, and whether their last one ends with a line end.
+        """Whole rows of the file, and whether the last of them ends with a line end in the file.
 
-        The last row of the file may have no line end; here it gets one.
+        The last row of the file may have no line end. Then it gets one here.
         """
         with self.path.open("rb") as file:
             file.seek(self.start)
@@ -233,7 +234,7 @@ class _Row(NamedTuple):
     start: int
     """Byte of the file at which the line begins."""
     end: int
-    """Byte of the file at which it ends, without its line end."""
+    """Byte of the file at which the line ends, without its line end."""
     line: int
     """Number of the line, from 1."""
 
@@ -246,16 +247,16 @@ class _Row(NamedTuple):
 def _first_rows(path: Path) -> list[_Row]:
     """The lines in the first 64 KiB of a file that are not empty."""
     with path.open("rb") as file:
-        start = file.read(MAX_ROW_BYTES)
-    if b"\0" in start:
-        raise ValueError(f"{path}: expected text, got bytes that are not: {start[:16]!r}")
+        head = file.read(MAX_ROW_BYTES)
+    if b"\0" in head:
+        raise ValueError(f"{path}: expected text, got bytes that are not: {head[:16]!r}")
     rows = []
-    pos = 3 if start.startswith(b"\xef\xbb\xbf") else 0  # after a byte order mark
-    for line, raw in enumerate(start[pos:].split(b"\n"), 1):
+    place = 3 if head.startswith(b"\xef\xbb\xbf") else 0  # after a byte order mark
+    for line, raw in enumerate(head[place:].split(b"\n"), 1):
         text = raw.decode("utf-8", "backslashreplace").strip(" \r")
         if text.strip():
-            rows.append(_Row(text, pos, pos + len(raw), line))
-        pos += len(raw) + 1
+            rows.append(_Row(text, place, place + len(raw), line))
+        place += len(raw) + 1
     return rows
 
 
@@ -313,10 +314,10 @@ def _refuse_whole_times(path: Path, rows: list[_Row], column: int) -> None:
     words = [row.text.split() for row in rows]
     times = [row[column] for row in words if len(row) > column]
     numbers = [float(time) for time in times if _NUMBER.fullmatch(time)]
-    whole = [number for number in numbers if number.is_integer()]
-    are_all_whole = len(whole) == len(times)
+    whole_numbers = [number for number in numbers if number.is_integer()]
+    are_all_whole = len(whole_numbers) == len(times)
     # times of 0 say nothing about the unit
-    if are_all_whole and len(times) > 1 and any(whole):
+    if are_all_whole and len(times) > 1 and any(whole_numbers):
         raise ValueError(
             f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, "
             f"{times[1]}, ...); if they are microseconds, write t,x,y,p with commas: CSV's times "
@@ -351,7 +352,8 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
         if len(rows) == 1 and path.stat().st_size == first.end:
             raise ValueError(f"{path}: the file ends in its header, {first.text[:80]!r}")
         header = words
-        start = first.end  # a line end, with which the first row may begin: blank lines are skipped
+        # The first row may begin with the header's line end, as blank lines are skipped.
+        start = first.end
     if header is None:
         if len(words) != 4:
             raise ValueError(
@@ -413,11 +415,12 @@ def _order_without_header(
     ------
     SourceError : the numbers look like another order.
     """
-    usual = CSV_ORDER if sensor is None else METAVISION_ORDER
-    order = options.columns or usual
+    usual_order = CSV_ORDER if sensor is None else METAVISION_ORDER
+    order = options.columns or usual_order
     table = _numbers(rows, separator)
     likely = order if table is None else likely_order(table, order)
     if likely != order:
+        # {columns} stands for the name of the parameter, see `SourceError`.
         raise SourceError(
             str(path),
             f"the columns are not {order!r}; they look like {likely!r}: state their order with "
@@ -446,9 +449,9 @@ def _geometry(path: Path, rows: list[_Row]) -> Sensor | None:
     for row in rows:
         if not row.is_comment:
             return None
-        found = _GEOMETRY.fullmatch(row.text)
-        if found is not None:
-            return _checked_sides(path, found[1].split(","), row.text)
+        match = _GEOMETRY.fullmatch(row.text)
+        if match is not None:
+            return _checked_sides(path, match[1].split(","), row.text)
     return None
 
 

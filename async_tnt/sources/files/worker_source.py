@@ -33,7 +33,8 @@ SILENCE_S = 60.0
 and a machine may be busy."""
 
 AHEAD = 8
-"""Number of calls that the worker has at once: blocks may be small."""
+"""Number of calls that wait at the worker at once. Blocks may be small, and one call at a time
+would make each of them wait for an answer."""
 
 READ_S = 120.0
 """Seconds of one call after which a worker ends itself, if its parent has not ended it."""
@@ -110,7 +111,7 @@ class WorkerSource(Source):
                 worker.submit(library_readers.next_block, limit_s=READ_S)
                 yield block
                 n_read += self._size_of(block)
-            for _ in range(AHEAD - 1):  # the calls ahead have answers, too: None
+            for _ in range(AHEAD - 1):  # the calls that still wait are answered, too, with None
                 worker.result(SILENCE_S)
         except Exception as error:
             raise CorruptData(f"after {self.unit} {n_read}: {one_line(error)}") from None
@@ -124,7 +125,7 @@ _idle: dict[int, Worker] = {}
 def _worker() -> Iterator[Worker]:
     """A worker, which is kept for the next file.
 
-    It is ended after an error, or if the file was not read to its end.
+    The worker is ended after an error, or if the file was not read to its end.
     """
     worker = _idle.pop(os.getpid(), None)
     if worker is not None and not worker.is_running:
@@ -172,4 +173,4 @@ def _open(
 open_aedat4 = partial(_open, library_readers.read_aedat4, "AEDAT4", "faery", "files")
 open_es = partial(_open, library_readers.read_es, "ES", "faery", "files")
 open_hdf5 = partial(_open, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
-"""Functions of a path and `ReadOptions` that open a file, each of one format, as a `Source`."""
+"""Functions of a path and `ReadOptions`. Each opens a file of one format as a `Source`."""

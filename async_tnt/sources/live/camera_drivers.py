@@ -17,7 +17,7 @@ WAIT_S = 0.1
 """Seconds that neuromorphic-drivers waits for events at a time, so that `close` waits no longer."""
 
 PAUSE_S = 0.001
-"""Seconds after which dv-processing, which does not wait, is asked again: takes 3 % of a core."""
+"""Seconds after which dv-processing, which does not wait, is asked again, at 3 % of a core."""
 
 NEUROMORPHIC_KINDS = {
     "Prophesee EVK4": ("evk4",),
@@ -69,7 +69,7 @@ class CameraCounts:
     events: int = 0
     """Events handed on."""
     overflows: int | None = None
-    """Gaps in the stream of events, which was not read in time."""
+    """Gaps in the stream of events, because it was not read in time."""
     dropped: int | None = None
     """Raw USB packets that the library dropped."""
     clock_restarts: int = 0
@@ -88,18 +88,17 @@ class Device(Protocol):
     time_field: str
     """Name of the field of times in its packets."""
     counts: CameraCounts
-    """The device counts what the library reports as lost while it is read; `Camera` counts the
-    rest."""
+    """The device counts what the library reports as lost in `read`. `Camera` counts the rest."""
     handle: Any
     """The library's own object."""
     settings: dict[str, Any]
-    """Name -> value of the settings that decide which events it sends, when it was opened, as far
-    as the library tells."""
+    """Name -> value, when the camera was opened, of the settings that decide which events it sends,
+    as far as the library tells."""
 
     def read(self) -> np.ndarray | None:
-        """The next packet, a structured array in new memory; None if there is none now.
+        """The next packet, a structured array in new memory; None if no packet is there now.
 
-        Waits for a packet, for 0.2 s at most. If the camera is gone, raises what the library
+        It waits for a packet, for 0.2 s at most. If the camera is gone, it raises what the library
         raises, see `failure`.
         """
 
@@ -112,23 +111,23 @@ class FoundCamera:
     """A connected camera."""
 
     model: str
-    """The library's name of its model."""
+    """The library's name of the camera's model."""
     kinds: tuple[str, ...]
     """Every KIND of `camera:KIND` that matches it."""
     serial: str | None
-    """Its serial number; None: the library does not tell it."""
+    """Serial number of the camera; None: the library does not tell it."""
     open: Callable[[], Device]
-    """Opens it."""
+    """Opens the camera."""
     problem: str | None = None
-    """Why it may not open, if the library reports it."""
+    """Why the camera may not open, if the library reports a reason."""
 
     def __str__(self) -> str:
         return self.model if not self.serial else f"{self.model} {self.serial}"
 
 
 Driver = Callable[[], Sequence[FoundCamera]]
-"""Function that finds the connected cameras of one library. It raises an ImportError without the
-library, and what the library raises if it cannot search."""
+"""Function that finds the connected cameras of one library. It raises an ImportError if the library
+is not installed, and what the library raises if the library cannot search."""
 
 
 def failure(error: BaseException) -> str:
@@ -168,15 +167,15 @@ def neuromorphic_cameras(library: Any) -> list[FoundCamera]:
     ----------
     library : the module `neuromorphic_drivers`. Its `list_devices` and `open` are called.
     """
-    found = []
-    for listed in library.list_devices():
-        model = listed.name.value
-        # a camera in a network may have no known serial number, but an address
-        which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
-        open_this = partial(NeuromorphicDevice, library.open, which)
+    cameras = []
+    for device in library.list_devices():
+        model = device.name.value
+        # a camera in a network may have an address instead of a known serial number
+        identity = {"serial": device.serial} if device.serial else {"address": device.address}
+        open_device = partial(NeuromorphicDevice, library.open, identity)
         kinds = NEUROMORPHIC_KINDS.get(model, ())
-        found.append(FoundCamera(model, kinds, listed.serial, open_this, listed.error))
-    return found
+        cameras.append(FoundCamera(model, kinds, device.serial, open_device, device.error))
+    return cameras
 
 
 class NeuromorphicDevice:
@@ -187,8 +186,8 @@ class NeuromorphicDevice:
 
     time_field = "t"
 
-    def __init__(self, open: Callable[..., Any], which: dict[str, str]) -> None:
-        self.handle = open(iterator_timeout=WAIT_S, **which)
+    def __init__(self, open: Callable[..., Any], identity: dict[str, str]) -> None:
+        self.handle = open(iterator_timeout=WAIT_S, **identity)
         self.counts = CameraCounts(overflows=0)
         properties = self.handle.properties()
         self.sensor = int(properties.width), int(properties.height)
@@ -218,13 +217,13 @@ def dv_cameras(library: Any) -> list[FoundCamera]:
     ----------
     library : the module `dv_processing.io.camera`. Its `discover` and `open` are called.
     """
-    found = []
+    cameras = []
     for descriptor in library.discover():
         model = descriptor.cameraModel.name
-        open_this = partial(DvDevice, library.open, descriptor)
+        open_device = partial(DvDevice, library.open, descriptor)
         kinds = DV_KINDS.get(model, ())
-        found.append(FoundCamera(model, kinds, descriptor.serialNumber or None, open_this))
-    return found
+        cameras.append(FoundCamera(model, kinds, descriptor.serialNumber or None, open_device))
+    return cameras
 
 
 class DvDevice:
@@ -244,18 +243,19 @@ class DvDevice:
         self.sensor = int(resolution[0]), int(resolution[1])
         self.settings = {}
         for name in DV_SETTINGS:
-            with suppress(Exception):  # this camera has none, or does not tell it
+            with suppress(Exception):  # this camera has no such setting, or does not tell it
                 self.settings[name] = getattr(self.handle, f"get{name}")()
 
     def read(self) -> np.ndarray | None:
-        # This is asked before the read: events from before the end can be read after it.
-        running = self.handle.isRunning()
+        # This is asked before the read: events that came before the camera stopped can still be
+        # read afterwards.
+        was_running = self.handle.isRunning()
         store = self.handle.getNextEventBatch()
         if store is not None:
             # a copy: a store is a list of the driver's own packets
             events: np.ndarray = store.numpy()
             return events
-        if not running:
+        if not was_running:
             raise RuntimeError("it stopped running")
         time.sleep(PAUSE_S)
         return None
@@ -268,5 +268,5 @@ DRIVERS: Mapping[str, Driver] = {
     "neuromorphic-drivers": lambda: neuromorphic_cameras(import_module("neuromorphic_drivers")),
     "dv-processing": lambda: dv_cameras(import_module("dv_processing").io.camera),
 }
-"""Library -> its `Driver`, in the order in which they are tried. The first one waits without
-polling and counts losses."""
+"""Library -> its `Driver`, in the order in which they are tried. neuromorphic-drivers comes first,
+because it waits without polling and counts losses."""

@@ -25,8 +25,8 @@ from async_tnt.sources.live.camera_drivers import (
 from async_tnt.sources.live.clock import Clock
 
 MAX_JUMP_S = 1.0
-"""Seconds that a time may lie ahead of what is expected: a camera's events arrive in order and
-soon."""
+"""Seconds that a time may lie ahead of the expected time. One is enough, because a camera's events
+arrive in order and soon."""
 
 ADVICE = "Is it plugged in, and used by no other program?"
 LINUX_ADVICE = (
@@ -52,8 +52,8 @@ class Camera(AbstractContextManager["Camera"]):
     ----------
     name : the camera's model and serial number, and the library that reads it.
     sensor : (width, height) in pixels, as the library reports it.
-    settings : name -> value of its biases, filters and the like when it was opened, as far as the
-        library tells.
+    settings : name -> value of the camera's biases, filters and the like, at the time when it was
+        opened, as far as the library tells.
     """
 
     def __init__(self, device: Device, name: str) -> None:
@@ -97,10 +97,10 @@ class Camera(AbstractContextManager["Camera"]):
             "off the sensor: {:,}": counts.off_sensor or None,
             "jumps in time: {:,}": counts.jumped or None,
         }
-        lost = [text.format(number) for text, number in numbers.items() if number is not None]
+        losses = [text.format(number) for text, number in numbers.items() if number is not None]
         if counts.overflows is None and counts.dropped is None:
-            lost.append("lost: unknown")
-        return f"{counts.packets:,} packets, {counts.events:,} events ({', '.join(lost)})"
+            losses.append("lost: unknown")
+        return f"{counts.packets:,} packets, {counts.events:,} events ({', '.join(losses)})"
 
     # -- packets -----------------------------------------------------------------------------------
 
@@ -148,7 +148,7 @@ class Camera(AbstractContextManager["Camera"]):
             self._counts.off_sensor += n - len(events)
             n = len(events)
         events = self._clock(events, self._device.time_field, time.monotonic_ns() // 1000)
-        # counted here, as `Clock.jumped` does not count times that no clock shows
+        # counted here, as `Clock.jumped` does not count times outside of [0, 2**62) us
         self._counts.jumped += n - len(events)
         return events
 
@@ -166,7 +166,7 @@ class Camera(AbstractContextManager["Camera"]):
                 self._is_open = False
                 try:
                     self._device.close()
-                except BaseException as error:  # it is gone already
+                except BaseException as error:  # the camera is gone already
                     log.warning("%s: closing it failed: %s", self.name, failure(error))
 
     def __exit__(self, *error: object) -> None:
@@ -178,8 +178,8 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
 
     Parameters
     ----------
-    name : `camera` (the first one found), `camera:KIND` (evk4, evk3, davis346, dvxplorer, ...) or
-        `camera:KIND:SERIAL`.
+    name : `camera` (the first camera that is found), `camera:KIND` (evk4, evk3, davis346,
+        dvxplorer, ...) or `camera:KIND:SERIAL`.
     drivers : the libraries to try, in this order, by name.
 
     Returns
@@ -195,12 +195,12 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
     """
     kind, serial = parse_camera_name(name)
     problems = []
-    searched = []
+    empty_searches = []
     n_missing = 0
     was_found = False
     for package, find in drivers.items():
         try:
-            found = find()
+            cameras = find()
         except ModuleNotFoundError:
             n_missing += 1
             problems.append(f"{package} is not installed")
@@ -208,9 +208,9 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
         except BaseException as error:
             problems.append(f"{package} cannot search: {failure(error)}")
             continue
-        if not found:
-            searched.append(package)
-        for camera in found:
+        if not cameras:
+            empty_searches.append(package)
+        for camera in cameras:
             if not _is_wanted(camera, kind, serial):
                 problems.append(f"{package} found {camera}, which is another camera")
                 continue
@@ -227,17 +227,18 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
             f"{name}: {'; '.join(problems)}: cameras need one of them, pip install "
             "'async_tnt[cameras]'"
         )
-    if searched:
-        problems.insert(0, f"{' and '.join(searched)} found none")
+    if empty_searches:
+        problems.insert(0, f"{' and '.join(empty_searches)} found none")
     problems.insert(0, "cannot be opened" if was_found else "no camera found")
     advice = ADVICE + (LINUX_ADVICE if sys.platform.startswith("linux") else "")
     raise OSError(f"{name}: {'; '.join(problems)}. {advice}")
 
 
 def _is_wanted(camera: FoundCamera, kind: str | None, serial: str | None) -> bool:
-    """Whether a camera is of the kind, and has the serial number; None: any.
+    """Whether a camera is of this kind, and has this serial number; None: any.
 
-    A camera that hides its serial number may be the right one: opening it shows why it does.
+    A camera that hides its serial number may be the right one. An attempt to open it shows why it
+    hides the number.
     """
     if kind and kind not in camera.kinds:
         return False
@@ -254,12 +255,12 @@ def parse_camera_name(name: str) -> tuple[str | None, str | None]:
     >>> parse_camera_name("camera:davis346:00000042")
     ('davis346', '00000042')
     """
-    word, *rest = name.split(":", 2)
-    if word != "camera" or "" in rest:
+    word, *parts = name.split(":", 2)
+    if word != "camera" or "" in parts:
         raise ValueError(
             f"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got {name!r}"
         )
-    kind = rest[0].lower() if rest else None
+    kind = parts[0].lower() if parts else None
     if kind is not None and kind not in ALL_KINDS:
         raise ValueError(f"{name}: no such kind of camera; known are {', '.join(ALL_KINDS)}")
-    return kind, rest[1] if len(rest) == 2 else None
+    return kind, parts[1] if len(parts) == 2 else None

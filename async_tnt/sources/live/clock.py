@@ -22,20 +22,20 @@ class Clock:
     It drops them until eight consecutive packets agree that the clock has moved.
 
     A processor relies on the events' own times: one time far ahead closes all its windows, and
-    after a fall back all times come too late for them. The rule, for a packet that arrives when
-    `passed` microseconds have gone by here since the newest event so far, n:
+    after a fall back all times come too late for its windows. Let n be the newest time so far. The
+    rule, for a packet that arrives here `pause` microseconds after the event of this time, is
 
-        an event jumps   iff   t > n + passed + max_jump   or   t < n - max(1 s - passed, 20 ms)
+        an event jumps   iff   t > n + pause + max_jump   or   t < n - max(1 s - pause, 20 ms)
 
-    Such events are dropped and counted. `passed` allows for a camera that sees nothing for an hour,
+    Such events are dropped and counted. `pause` allows for a camera that sees nothing for an hour,
     and reveals a short recording that is sent again.
 
     If all events of a packet jump, the packet votes for its oldest time. If this time lies within
-    `max_jump` of the previous vote's, allowing for what has passed here since, the vote is added to
-    it; otherwise a new vote starts. A packet with an event that does not jump ends the vote. With
-    the eighth vote the clock has moved. If it moved ahead, its times are kept. If it moved back, by
-    a restart or a wrap, times continue: all are shifted from here on, so that the oldest event of
-    this packet takes the time n.
+    `max_jump` of the previous vote's time, allowing for the time that has passed here since, it
+    counts as one more vote. Otherwise the votes start again. A packet with an event that does not
+    jump ends the votes. With the eighth vote the clock has moved. If it moved ahead, its times are
+    kept. If it moved back, by a restart or a wrap, times continue: all are shifted from here on, so
+    that the oldest event of this packet takes the time n.
 
     The first packet starts the clock at its oldest event, which lies before the year 2100.
 
@@ -94,10 +94,10 @@ class Clock:
         time_at = events.dtype.fields[field][1]
         records = events.view(np.uint8)
         size = events.itemsize
-        kept = repair_times.checked(
+        n_kept = repair_times.checked(
             records, 0, len(events), size, time_at, arrival_us, self.max_jump_us, self.state
         )
-        return events if kept == len(events) else events[:kept]
+        return events if n_kept == len(events) else events[:n_kept]
 
     @property
     def jumped(self) -> int:

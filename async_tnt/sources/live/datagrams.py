@@ -44,7 +44,7 @@ _KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32
 
 
 def checked_format(format: str) -> str:
-    """The name of a format itself, if there is such a format.
+    """The name `format` itself, if there is such a format.
 
     Raises
     ------
@@ -78,13 +78,13 @@ def encode(events: Any, format: str = "t64_x16_y16_on8") -> bytes:
     '04 80 03 80'
     """
     checked_format(format)
-    own = as_events(events, (MAX_SIDE, MAX_SIDE))
-    if format == "t64_x16_y16_on8":  # our own records, bit for bit
-        return own.tobytes()
-    t = own["t"].astype("<u4")  # the low half
-    x = own["x"].astype("<u4")
-    y = own["y"].astype("<u4")
-    p = own["p"].astype("<u4")
+    records = as_events(events, (MAX_SIDE, MAX_SIDE))
+    if format == "t64_x16_y16_on8":  # the records of EVENT_DTYPE, bit for bit
+        return records.tobytes()
+    t = records["t"].astype("<u4")  # the low half
+    x = records["x"].astype("<u4")
+    y = records["y"].astype("<u4")
+    p = records["p"].astype("<u4")
     if format == "t32_x16_y15_on1":
         words = np.column_stack([t, y << 17 | p << 16 | x])
     elif format == "spif":
@@ -143,8 +143,8 @@ class Decoder:
         arrival_us : microseconds on the receiver's clock. For `spif`, this is the time of the
             events.
         """
-        n, rest = divmod(len(data), self.event_bytes)
-        self.malformed += rest > 0
+        n, n_bytes_left = divmod(len(data), self.event_bytes)
+        self.malformed += n_bytes_left > 0
         return self.decode_datagrams(np.frombuffer(data, np.uint8), [n], [arrival_us])
 
     def decode_datagrams(
@@ -160,7 +160,7 @@ class Decoder:
         """
         n = ends[-1] if ends else 0
         events = np.empty(n, EVENT_DTYPE)
-        n_good, n_off_sensor = decode_events.checked(
+        n_valid, n_off_sensor = decode_events.checked(
             raw,
             self._kind,
             np.array(ends, np.int64),
@@ -172,6 +172,6 @@ class Decoder:
             self.clock.state,
             np.frombuffer(events, np.uint8),
         )
-        self.malformed += n - n_good
+        self.malformed += n - n_valid
         self.off_sensor += n_off_sensor
-        return events if n_good == n else events[:n_good]
+        return events if n_valid == n else events[:n_valid]

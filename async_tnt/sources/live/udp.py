@@ -34,7 +34,7 @@ WARN_AFTER = 1000
 reasons."""
 
 LONGEST_S = 1e6
-"""Seconds of the longest wait: the system sleeps for no longer than some weeks."""
+"""Seconds of the longest wait, because the system sleeps for no longer than some weeks."""
 
 log = logging.getLogger("async_tnt.sources")
 
@@ -121,7 +121,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         self.timeout_s = timeout_s
         self.format = format
         self.sensor = sensor
-        # The socket comes before the decoder, which may have to be compiled: the error of an
+        # The socket comes before the decoder, which may have to be compiled. So the error of an
         # address that is taken comes at once.
         self._socket = _bound_socket(address, port)
         try:
@@ -130,11 +130,11 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             self._socket.close()
             raise
         self._memory = memoryview(bytearray(BATCH_BYTES))
-        self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
+        self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of the memory
         self._datagrams = 0
         self._bytes = 0
         self._events = 0
-        self._cut = 0
+        self._cut = 0  # number of datagrams that ended within an event
         self._started_ns = time.monotonic_ns()
         self._closed = False
         self._has_warned = False
@@ -143,11 +143,11 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         # close, too.
         self._reading = threading.RLock()
         self.address, self.port = self._socket.getsockname()[:2]
-        with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
+        with contextlib.suppress(OSError):  # BSD and macOS refuse a size that Linux reduces
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
-        overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what is asked for
-        self.buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // overhead
-        # one end becomes readable when the other is closed
+        factor = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what is asked for
+        self.buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // factor
+        # `_wake_out` becomes readable when `_wake_in` is closed
         self._wake_out, self._wake_in = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
@@ -160,7 +160,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
     @property
     def counts(self) -> NetworkCounts:
-        """The counts up to now."""
+        """The counts so far."""
         decoder = self._decoder
         return NetworkCounts(
             datagrams=self._datagrams,
@@ -182,12 +182,12 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     def summary(self) -> str:
         """The counts so far, in one line for people."""
         counts = self.counts
-        of_them = f"{counts.jumped:,} of them time jumps, " if counts.jumped else ""
-        of_them += f"{counts.off_sensor:,} of them off the sensor, " if counts.off_sensor else ""
+        kinds = f"{counts.jumped:,} of them time jumps, " if counts.jumped else ""
+        kinds += f"{counts.off_sensor:,} of them off the sensor, " if counts.off_sensor else ""
         restarts = f", clock restarts: {counts.clock_restarts:,}" if counts.clock_restarts else ""
         return (
             f"{counts.datagrams:,} datagrams, {counts.events:,} events ({counts.malformed:,} "
-            f"malformed, {of_them}{counts.late:,} out of order{restarts})"
+            f"malformed, {kinds}{counts.late:,} out of order{restarts})"
         )
 
     def __repr__(self) -> str:
@@ -205,21 +205,22 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         timeout_s : seconds to wait; None: forever.
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        most = MAX_DATAGRAMS
+        n_most = MAX_DATAGRAMS
         with self._reading:
             while not self._closed:
-                events = self._drain(most)
+                events = self._drain(n_most)
                 if events is not None:
                     return events
-                left = None if deadline is None else deadline - time.monotonic()
-                if left is not None and left <= 0:
+                left_s = None if deadline is None else deadline - time.monotonic()
+                if left_s is not None and left_s <= 0:
                     return None
                 with contextlib.suppress(OSError, ValueError):  # a signal handler closed the source
-                    self._selector.select(left)
-                # The datagram that ended the sleep is handed over alone, and no other one is asked
-                # for. After a sleep, the data of `recv` have left the processor's caches: to ask
-                # once more would take as long as to receive. The next call reads all the others.
-                most = 1
+                    self._selector.select(left_s)
+                # After a sleep, one call of `recv` is made, and its datagram is handed over alone.
+                # A second call would only find that no datagram waits, but it would take as long as
+                # the first, because what `recv` needs has left the processor's caches. If others
+                # wait, the next call of `receive` reads them.
+                n_most = 1
         return None
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -228,31 +229,31 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             yield events
             events = self.receive(self.timeout_s)
 
-    def _drain(self, most: int) -> np.ndarray | None:
-        """Up to `most` waiting datagrams as one packet; None if there is no event in it."""
+    def _drain(self, n_most: int) -> np.ndarray | None:
+        """Up to `n_most` waiting datagrams as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
         memory = self._memory
         receive_into = self._socket.recv_into
-        clock = time.monotonic_ns
+        now_ns = time.monotonic_ns
         ends: list[int] = []
         arrivals: list[int] = []
         filled = 0
         try:
-            while len(ends) < most and filled + ROOM <= BATCH_BYTES:
+            while len(ends) < n_most and filled + ROOM <= BATCH_BYTES:
                 n = receive_into(memory[filled:])
                 self._bytes += n
-                n_whole = n // size  # the next datagram goes behind the last whole event
+                n_whole = n // size
                 self._cut += n_whole * size != n
-                filled += n_whole * size
+                filled += n_whole * size  # the next datagram goes behind the last whole event
                 ends.append(filled // size)
-                arrivals.append((clock() - self._started_ns) // 1000)
+                arrivals.append((now_ns() - self._started_ns) // 1000)
         except BlockingIOError:
             pass
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
-            # Windows also reports a datagram that was too long, or an answer that was refused: the
-            # source goes on.
+            # Windows also reports a datagram that was too long, or an answer that was refused. The
+            # source goes on then.
         if not ends:
             return None
         events = self._decoder.decode_datagrams(self._raw, ends, arrivals)
@@ -332,14 +333,15 @@ def _bound_socket(address: str, port: int) -> socket.socket:
     OSError : there is no such host, or its address cannot be used.
     """
     try:
-        family, _, _, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_DGRAM)[0]
+        addresses = socket.getaddrinfo(address, port, type=socket.SOCK_DGRAM)
+        family, _, _, _, socket_address = addresses[0]
     except (OSError, UnicodeError, OverflowError) as error:
         raise OSError(f"{address}:{port}: no such host or port ({error})") from None
-    bound = socket.socket(family, socket.SOCK_DGRAM)
+    listener = socket.socket(family, socket.SOCK_DGRAM)
     try:
-        bound.setblocking(False)
-        bound.bind(where)
+        listener.setblocking(False)
+        listener.bind(socket_address)
     except OSError as error:
-        bound.close()
+        listener.close()
         raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
-    return bound
+    return listener

@@ -1,7 +1,7 @@
 """Find the hot pixels of recordings.
 
-A hot pixel has far more events than what moves in front of it can explain. Let n be a pixel's count
-of events in a recording. A plausible count for it is
+A hot pixel has far more events than the things that move in front of it can explain. Let n be a
+pixel's count of events in a recording. A plausible count for it is
 
     plausible = max(neighbours, mean, 1)
 
@@ -15,7 +15,7 @@ of events in a recording. A plausible count for it is
 and the pixel is hot if both hold:
 
     n > 5 plausible                                          far above
-    n log(n / plausible) - (n - plausible) > log(100 N)      and not by chance
+    n log(n / plausible) - (n - plausible) > log(100 N)      not by chance
 
 The second condition follows from Chernoff's bound on a Poisson count,
 
@@ -25,14 +25,13 @@ so that chance makes one of the N pixels of a sensor hot in one of a hundred rec
 
 Hot pixels raise the mean and hide weaker hot pixels nearby. So the search is repeated until it
 finds no more. In the next search, each pixel found so far gets the largest count among the other
-pixels of its block.
-(With a lower count the end of a line would move inwards, and the line would be found pixel by
-pixel.)
+pixels of its block. (With a lower count the end of a line would move inwards, and the line would be
+found pixel by pixel.)
 
-Five or more hot pixels in one 5x5 block explain one another, and not all of them are found: a
-flickering lamp looks the same. Conversely, something small and bright that stays at one pixel looks
-like a hot pixel. So learn from recordings in which things move, or from a still scene, with some
-thousand events at least.
+Five or more hot pixels in one 5x5 block explain one another, and not all of them are found, because
+a flickering lamp looks the same. Conversely, something small and bright that stays at one pixel
+looks like a hot pixel. So learn from recordings in which things move, or from a still scene, with
+some thousand events at least.
 """
 
 from __future__ import annotations
@@ -129,39 +128,40 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
     counts : int64, shape (H, W).
     """
     hot = np.zeros(counts.shape, bool)
-    chance = math.log(counts.size / FALSE_ALARMS)
-    rest = counts
+    least_evidence = math.log(counts.size / FALSE_ALARMS)
+    plain_counts = counts
     while True:
-        mean = max(1.0, rest.mean())
-        # no other pixel can be hot, as `plausible` is at least the mean
-        y, x = np.nonzero((rest > FACTOR * mean) & ~hot)
-        n = rest[y, x].astype(np.float64)
-        plausible = np.maximum(mean, _largest(rest, y, x, RANK))
+        mean = max(1.0, plain_counts.mean())
+        # Only these pixels can be hot, as `plausible` is at least the mean.
+        y, x = np.nonzero((plain_counts > FACTOR * mean) & ~hot)
+        n = plain_counts[y, x].astype(np.float64)
+        plausible = np.maximum(mean, _largest(plain_counts, y, x, RANK))
         is_far_above = n > FACTOR * plausible
-        is_no_chance = n * np.log(n / plausible) - (n - plausible) > chance
-        found = is_far_above & is_no_chance
-        if not found.any():
+        evidence = n * np.log(n / plausible) - (n - plausible)
+        is_not_by_chance = evidence > least_evidence
+        is_hot = is_far_above & is_not_by_chance
+        if not is_hot.any():
             return hot
 
-        hot[y[found], x[found]] = True
-        rest = np.where(hot, 0, counts)
+        hot[y[is_hot], x[is_hot]] = True
+        plain_counts = np.where(hot, 0, counts)
         y, x = np.nonzero(hot)
-        rest[y, x] = _largest(rest, y, x, 0)
+        plain_counts[y, x] = _largest(plain_counts, y, x, 0)
 
 
 def listed_pixels(counts: np.ndarray, hot: np.ndarray) -> list[dict[str, int]]:
     """`x`, `y` and `events` of each hot pixel, busiest first."""
-    found = [{"x": x, "y": y, "events": int(counts[y, x])} for y, x in np.argwhere(hot).tolist()]
-    return sorted(found, key=lambda pixel: -pixel["events"])
+    pixels = [{"x": x, "y": y, "events": int(counts[y, x])} for y, x in np.argwhere(hot).tolist()]
+    return sorted(pixels, key=lambda pixel: -pixel["events"])
 
 
 def _largest(counts: np.ndarray, y: np.ndarray, x: np.ndarray, rank: int) -> np.ndarray:
     """The largest count in the 5x5 block around each pixel, after the `rank` largest ones.
 
     With a `rank` of four this stands for `neighbours`, although the block contains the pixel
-    itself. If the pixel's count is larger than its 4th largest neighbour, this neighbour is the 5th
-    largest count of the block. If it is not larger, the 5th largest count of the block is at least
-    the pixel's own count: then the pixel is not hot, with either number.
+    itself. If the pixel's count is larger than that of its 4th largest neighbour, the neighbour's
+    count is the 5th largest count of the block. If it is not larger, both numbers are at least the
+    pixel's own count, and with either of them the pixel is not hot.
     """
     height = min(BLOCK, counts.shape[0])
     width = min(BLOCK, counts.shape[1])

@@ -21,8 +21,8 @@ class ModelPixels:
     ----------
     pixels : the pixels that the model sees.
     model : (width, height) of the model's sensor, in pixels.
-    any_size : whether the model can be used for sensors of other sizes, see `Model.for_sensor`; for
-        messages.
+    any_size : whether the model can be used for sensors of other sizes, see `Model.for_sensor`. It
+        decides only the advice in messages.
 
     Attributes
     ----------
@@ -58,7 +58,8 @@ class ModelPixels:
                 f"{format_size(model)}{self._advice(camera)}",
             )
         if self.expected is not None:
-            self.filter_of("", self.expected)  # now, so that mistakes show before the first event
+            # The filter is made now, so that mistakes show before the first event.
+            self.filter_of("", self.expected)
 
     def open(
         self, path: Path, *, name: str | None = None, **reading: Any
@@ -77,29 +78,29 @@ class ModelPixels:
         recording = open_recording(path, sensor=self.expected, **reading)
         return recording, self.filter_of(path if name is None else name, recording.sensor)
 
-    def filter_of(self, name: Any, found: Sensor | None) -> Callable[[Any], Any]:
+    def filter_of(self, name: Any, sensor: Sensor | None) -> Callable[[Any], Any]:
         """The filter for packets of a source.
 
         Parameters
         ----------
         name : name of the source in messages; "" for none.
-        found : (width, height) of its camera, before any event is left out, if it states them.
+        sensor : (width, height) of its camera, before any event is left out, if it states them.
 
         Raises
         ------
         ValueError : the sensor is not the expected one, or is unknown, or the region or the mask
             does not fit it.
         """
-        camera = self.expected or found
+        camera = self.expected or sensor
         if camera is None:
             rule = "does not say the camera's pixels, which {crop} needs: give {sensor}"
             raise SourceError(str(name), rule)
-        if found is not None and tuple(found) != camera:
+        if sensor is not None and tuple(sensor) != camera:
             origin = self.pixels.origin if self.pixels.crop else "the model is for"
-            advice = "" if self.pixels.crop else self._advice(found)
+            advice = "" if self.pixels.crop else self._advice(sensor)
             raise SourceError(
                 str(name),
-                f"a sensor of {format_size(found)} pixels, but {origin} {format_size(camera)}"
+                f"a sensor of {format_size(sensor)} pixels, but {origin} {format_size(camera)}"
                 f"{advice}",
             )
 
@@ -125,14 +126,14 @@ class ModelPixels:
         It is "" if no event came, or if no event could be left out.
         """
         counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
-        if not any(of_filter.received for of_filter in counts):
+        if not any(one.received for one in counts):
             return ""
         parts = []
         if self.pixels.roi is not None:
-            n_outside = sum(of_filter.dropped_outside for of_filter in counts)
+            n_outside = sum(one.dropped_outside for one in counts)
             parts.append(f"{n_outside:,} outside of the region")
         if self.pixels.mask is not None:
-            n_masked = sum(of_filter.dropped_masked for of_filter in counts)
+            n_masked = sum(one.dropped_masked for one in counts)
             parts.append(f"{n_masked:,} of masked pixels")
         return ", ".join(parts)
 

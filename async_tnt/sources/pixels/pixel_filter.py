@@ -12,7 +12,7 @@ from async_tnt.base.checks import ParameterValueError, is_whole
 from async_tnt.base.messages import short
 from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.entry_points import prepare
-from async_tnt.kernels.sources.pixels import MASKED, OUTSIDE, keep_events
+from async_tnt.kernels.sources.pixels import KEEP, MASKED, OUTSIDE, keep_events
 from async_tnt.sources.pixels.pixel_masks import checked_mask, load_mask
 from async_tnt.volume.events import EVENT_DTYPE, EventDecoder
 from async_tnt.volume.sensor import checked_sensor, format_size
@@ -75,8 +75,8 @@ class PixelFilter:
         prepare(keep_events)
         width, height = checked_sensor(sensor)
         check_crop(crop, roi)
-        whole = (0, 0, width, height)
-        self.roi = checked_region(whole if roi is None else roi, (width, height))
+        whole_sensor = (0, 0, width, height)
+        self.roi = checked_region(whole_sensor if roi is None else roi, (width, height))
         if isinstance(mask, (str, os.PathLike)):
             mask = load_mask(mask, (width, height))
         elif mask is not None:
@@ -87,7 +87,8 @@ class PixelFilter:
         self.sensor = (roi_width, roi_height) if crop else (width, height)
         inside = np.s_[top : top + roi_height, left : left + roi_width]
         self._verdicts = np.full((height, width), OUTSIDE, np.uint8)
-        self._verdicts[inside] = 0 if mask is None else mask[inside] * np.uint8(MASKED)
+        # a pixel whose mask is False gets 0, which is KEEP
+        self._verdicts[inside] = KEEP if mask is None else mask[inside] * np.uint8(MASKED)
         self._corner = (left, top) if crop else (0, 0)
         self._decoder = EventDecoder((width, height))
         self._running = Running("PixelFilter")
@@ -108,11 +109,11 @@ class PixelFilter:
         """
         t, x, y, p, n = self._decoder.decode(events)
         records = np.empty(n * EVENT_DTYPE.itemsize, np.uint8)
-        kept, masked = keep_events.call(t, x, y, p, n, self._verdicts, *self._corner, records)
+        n_kept, n_masked = keep_events.call(t, x, y, p, n, self._verdicts, *self._corner, records)
         self._received += n
-        self._kept += kept
-        self._masked += masked
-        return records[: kept * EVENT_DTYPE.itemsize].view(EVENT_DTYPE)
+        self._kept += n_kept
+        self._masked += n_masked
+        return records[: n_kept * EVENT_DTYPE.itemsize].view(EVENT_DTYPE)
 
     @property
     def counts(self) -> PixelCounts:

@@ -81,7 +81,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     path = user_path(path)
     check_writable(path, (".npy",))
     mask = checked_mask(mask)
-    with replacing(path) as part, part.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 
 

@@ -107,8 +107,9 @@ class Pixels:
         The dict is empty if all events count. The results of an evaluation contain it, so that
         results of different pixels are not mixed. The record of a trained model contains it, too.
 
-        With a mask, `sensor` is left out, as it could only repeat the mask's size. Without one,
-        `sensor` decides which recordings are of this camera: the others have errors, no results.
+        With a mask, `sensor` is left out, as it could only repeat the mask's size. Without a mask,
+        `sensor` decides which recordings are of this camera. The others have errors instead of
+        results.
         """
         options: dict[str, Any] = {}
         if self.roi is not None:

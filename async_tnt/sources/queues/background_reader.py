@@ -116,7 +116,8 @@ class BackgroundReader(PacketQueue):
         """Put the packets of the source into the queue: the thread's work."""
         try:
             packets = iter(source)
-            # Room comes first: the source is never ahead by more packets than the queue holds.
+            # The thread waits for room before it reads, so that the source is never ahead by more
+            # packets than the queue holds.
             while self.wait_for_room():
                 try:
                     packet = next(packets)

@@ -18,17 +18,18 @@ MAX_PACKETS = 1 << 20
 small."""
 
 SLOWER_FROM = 0.25
-"""Share of `max_delay_us`: a packet that waited longer makes decisions rarer."""
+"""Share of `max_delay_us`: a packet that waited longer than that makes decisions rarer."""
 
 URGENT_FROM = 0.5
-"""Share of `max_delay_us`: after a packet that waited longer, the next change comes soon."""
+"""Share of `max_delay_us`: after a longer wait than that, the next change comes soon."""
 
 FASTER_BELOW = 0.05
-"""Share of `max_delay_us`: a packet that waited for less makes decisions more frequent again."""
+"""Share of `max_delay_us`: a packet that waited for less than that makes decisions more frequent
+again."""
 
 PAUSE = 0.25
-"""Least time between two changes, as a share of `max_delay_us`: a change takes effect only after a
-while."""
+"""Least time between two changes, as a share of `max_delay_us`, because a change takes effect only
+after a while."""
 
 URGENT_PAUSE = 0.05
 """Least time between two changes where the second is urgent, as a share of `max_delay_us`."""
@@ -119,7 +120,7 @@ class KeepUp(BackgroundReader):
         if self._every_us is None:
             return 1
         # a step longer than the window changes nothing
-        n_steps: int = -(-self._processor.config.window_us // self._every_us)
+        n_steps: int = -(-self._processor.config.window_us // self._every_us)  # rounded up
         return min(n_steps, MOST_SLOWER)
 
     def _raise_error(self) -> None:
@@ -133,14 +134,15 @@ class KeepUp(BackgroundReader):
 
     def _adapt(self) -> None:
         """Set how often the processor decides, by how long the handed-out packet has waited."""
-        waited = self.delay_us / self.max_delay_us
+        wait = self.delay_us / self.max_delay_us  # as a share of the longest allowed
         now_ns = time.monotonic_ns()
-        pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
-        if now_ns - self._changed_ns < 1000 * pause * self.max_delay_us:
+        pause = URGENT_PAUSE if wait > URGENT_FROM else PAUSE
+        least_ns = 1000 * pause * self.max_delay_us
+        if now_ns - self._changed_ns < least_ns:
             return
-        if waited > SLOWER_FROM and self.slower < self._most_slower:
+        if wait > SLOWER_FROM and self.slower < self._most_slower:
             self._set(2 * self.slower, now_ns)
-        elif waited < FASTER_BELOW and self.slower > 1:
+        elif wait < FASTER_BELOW and self.slower > 1:
             self._set(self.slower // 2, now_ns)
 
     def _set(self, slower: int, now_ns: int) -> None:
@@ -153,6 +155,6 @@ class KeepUp(BackgroundReader):
             longest_us = max(self._every_us, config.window_us)
             self._processor.every_us = min(slower * self._every_us, longest_us)
         if self._every_events is not None:
-            wanted = slower * self._every_events
-            most = max(self._every_events, config.window_events or wanted)
-            self._processor.every_events = min(wanted, most)
+            n_wanted = slower * self._every_events
+            n_most = max(self._every_events, config.window_events or n_wanted)
+            self._processor.every_events = min(n_wanted, n_most)

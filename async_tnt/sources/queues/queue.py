@@ -94,9 +94,10 @@ class PacketQueue:
             raise ParameterValueError("max_delay_us", rule)
         self.latest = bool(latest)
         self.copy = bool(copy)
-        # One lock, re-entrant: a signal handler, which closes the queue, may run at any moment.
+        # One lock for all. It is re-entrant, because a signal handler that closes the queue may run
+        # at any moment.
         lock = threading.RLock()
-        self._came = threading.Condition(lock)  # a packet, or the end
+        self._arrival = threading.Condition(lock)  # a packet or the end has come
         self._room = threading.Condition(lock)
         # packet, events, time of arrival in ns
         self._waiting: deque[tuple[Any, int, int]] = deque()
@@ -142,7 +143,7 @@ class PacketQueue:
         """
         arrived_ns = time.monotonic_ns()
         packet, n = measured(packet, self.copy)
-        with self._came:
+        with self._arrival:
             if not self.latest:
                 self.wait_for_room()
             if self._ended and not self._closed:
@@ -157,8 +158,8 @@ class PacketQueue:
                 return False
             while self.latest and len(self._waiting) > self.max_packets:
                 self._skip_oldest()
-            self._skip_outdated()  # here, too: while nobody reads, memory stays bounded
-            self._came.notify()
+            self._skip_outdated()  # here, too, so that memory stays bounded while nobody reads
+            self._arrival.notify()
             self._wake()
         return True
 
@@ -181,9 +182,9 @@ class PacketQueue:
         ----------
         error : an error that the loop raises at its end; None: the loop ends without an error.
         """
-        with self._came:
-            # After `close` the queue has ended already: an error that the closing has caused in the
-            # source is dropped.
+        with self._arrival:
+            # After `close` the queue has ended already, and an error that the closing has caused in
+            # the source is dropped.
             if not self._ended:
                 self._ended = True
                 self._error = error
@@ -191,7 +192,7 @@ class PacketQueue:
 
     def close(self) -> None:
         """Stop now: discard waiting packets, accept no more, and end the reader's loop."""
-        with self._came:
+        with self._arrival:
             self._ended = True
             self._closed = True
             self._error = None
@@ -204,9 +205,9 @@ class PacketQueue:
         return self
 
     def __next__(self) -> Any:
-        with self._came:
+        with self._arrival:
             while not self._is_ready():
-                self._came.wait()
+                self._arrival.wait()
             if self._waiting:
                 return self._hand_out()
             self._raise_error()
@@ -221,7 +222,7 @@ class PacketQueue:
             await asyncio.sleep(0)
             self._yielded_s = loop.time()
         while True:
-            with self._came:
+            with self._arrival:
                 if self._is_ready():
                     if self._waiting:
                         return self._hand_out()
@@ -230,10 +231,10 @@ class PacketQueue:
                 sleeper = loop.create_future()
                 self._sleepers.append(sleeper)
             try:
-                await sleeper  # another task may take the packet first: then the loop waits again
+                await sleeper  # if another task takes the packet first, the loop waits again
                 self._yielded_s = loop.time()
             finally:
-                with self._came:
+                with self._arrival:
                     if sleeper in self._sleepers:  # this task was cancelled
                         self._sleepers.remove(sleeper)
 
@@ -252,7 +253,7 @@ class PacketQueue:
     @property
     def counters(self) -> QueueCounters:
         """All counts at one moment."""
-        with self._came:
+        with self._arrival:
             return QueueCounters(
                 self._received,
                 self._handed_out,
@@ -306,7 +307,7 @@ class PacketQueue:
             raise error
 
     def _wake_all(self) -> None:
-        self._came.notify_all()
+        self._arrival.notify_all()
         self._room.notify_all()
         self._wake()
 
@@ -356,5 +357,5 @@ def _copied(packet: np.ndarray) -> np.ndarray:
     """A copy of a structured array."""
     if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.dtype.hasobject:
         return packet.copy()
-    # NumPy copies records field by field, 5x slower
+    # NumPy itself copies records field by field, which is five times as slow.
     return packet.view(np.uint8).copy().view(packet.dtype)
