@@ -140,6 +140,11 @@ def test_objects_by_hand():
         "x": 6.5,
         "y": 5.5,
     }
+    logits[2] = 9.0
+    nothing = Processor(config, classifier=lambda volume: logits, classes=["a", "b"]).fire()
+    words = nothing.to_dict()
+    assert (words["objects"], words["label"], words["probability"]) == ([], None, 0.0)
+    assert "probabilities" not in words
 
 
 def test_a_call_with_an_array_changes_no_later_objects():

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -123,7 +124,7 @@ def test_an_ignored_signal_stays_ignored(tmp_path):
 def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts():
     port = free_port()
     events = open_recording(sample_recordings()[7]).read()
-    with started(*PROGRAM, "run", f"udp://127.0.0.1:{port}") as process:
+    with started(*PROGRAM, "run", f"udp://127.0.0.1:{port}", SAMPLE) as process:
         line = process.stderr.readline()
         while "listening" not in line:  # a cold cache says that it compiles
             assert line
@@ -134,6 +135,7 @@ def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts():
         out, err = process.communicate()
     assert process.returncode == 128 + signal.SIGTERM
     assert " end\n" in out and " events (0 malformed" in err and "Traceback" not in err
+    assert Path(SAMPLE).name not in out  # no other source is begun
 
 
 @pytest.mark.parametrize("received", ["", "terminated"])

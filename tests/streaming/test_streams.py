@@ -101,10 +101,22 @@ UNIT = (
 
 
 @pytest.mark.parametrize("settings", [{}, {"every_us": 70}, {"every_events": 1}])
-def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
+@pytest.mark.parametrize("way", ["stream", "astream"])
+def test_nanoseconds_read_as_microseconds_are_warned_of_once(way, settings):
+    async def asynchronous():
+        for event in SPARSE.tolist():
+            yield event
+
+    async def collected():
+        return [decision async for decision in astream(asynchronous(), MODEL, **settings)]
+
     with pytest.warns(UserWarning, match=UNIT) as warned:
-        assert list(stream(iter(SPARSE.tolist()), MODEL, **settings))
-    assert len(warned) == 1 and warned[0].filename == __file__
+        if way == "stream":
+            assert list(stream(iter(SPARSE.tolist()), MODEL, **settings))
+            assert warned[0].filename == __file__
+        else:
+            assert asyncio.run(collected())
+    assert len(warned) == 1
 
 
 @pytest.mark.parametrize("n_small", [16, 17])

@@ -130,6 +130,10 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(
         (tmp_path / "cut" / name).unlink()
     resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "cut", workers=2)
     assert contents(tmp_path / "cut") == contents(folder)
+    # a description that is gone is written again
+    (tmp_path / "cut" / "motions.json").unlink()
+    resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "cut")
+    assert contents(tmp_path / "cut") == contents(folder)
     monkeypatch.setattr("async_tnt.training.resynthesis.run_counted", lambda *_: None)
     monkeypatch.setattr(
         "async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again")
