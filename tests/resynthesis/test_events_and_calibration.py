@@ -123,11 +123,11 @@ def test_simulated_pixels_are_like_the_measured_ones():
 
 
 def test_numbers_of_windows_by_hand():
-    """Pixel (1, 1) has events at 0, 2 and 6 ms, and pixel (5, 9) has one.
+    """Pixel (1, 1) has events at 0, 2 and 6 ms, and pixel (5, 0) has one.
 
     In the next window pixel (1, 1) has two events, 8 ms apart. The last window has none.
     """
-    first = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0)]
+    first = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 0, 0), (6_000, 1, 1, 0)]
     second = [(0, 1, 1, 0), (8_000, 1, 1, 1)]
     windows = [np.array(rows, EVENT_DTYPE) for rows in (first, second, [])]
     expected = {
@@ -138,7 +138,7 @@ def test_numbers_of_windows_by_hand():
         "same-pixel interval, median": 4.0,
         "ON share": 100 * 3 / 6,
     }
-    assert describe(windows, (10, 10)) == pytest.approx(expected)
+    assert describe(windows, (25, 4)) == pytest.approx(expected)
     assert all(np.isnan(value) for value in describe([], (10, 10)).values())  # without a warning
 
 
