@@ -275,11 +275,12 @@ def test_a_network_on_a_volume_of_any_settings_holds(settings):
     assert [c for c in comparisons if not c.holds] == []
 
 
-@pytest.mark.parametrize("start_us", [None, 5_000])
+@pytest.mark.parametrize("start_us", [None, 5_000, 15_000])
 def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
     """Windows last 20 ms, and numbers 0, 2 and 5 hold events.
 
-    Among the last events are late ones, of the window before.
+    Among the last events are late ones, of the window before. With the latest start, the first
+    events come before it.
     """
     times = [np.linspace(20_000 * k, 20_000 * k + 19_000, 30).astype(int) for k in (0, 2, 5)]
     times[2][3:20:5] -= 60_000

@@ -36,6 +36,8 @@ def test_what_is_asked_for_reaches_the_settings(data):
     assert (default.network, default.seed, default.everywhere) == ("residual", 0, False)
     assert default.ends_early and default.balance and not default.augmentation.mirror
     assert CHANGES.items() <= vars(default.augmentation).items()
+    held_out = TrainingData(CONFIG, ("a", "b"), data.training, data.training)
+    assert Plan(volume).settings_for(held_out) == default  # held-out windows are not trained on
     scenes = Plan(volume, everywhere=True).settings_for(data)
     assert (scenes.network, scenes.everywhere, scenes.balance) == ("map", True, False)
 
