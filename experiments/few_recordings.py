@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PER_CLASS = (0, 1, 10, 100, 10_000)
-"""Numbers of recordings of each class. No class has as many as the last one, so it means all."""
+"""Numbers of recordings of each class. The last number means all, as no class has so many."""
 
 FEWEST_ALONE = 10
 """Least number of recordings of each class without pictures. Fewer are too few to hold some out."""

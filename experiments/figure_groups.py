@@ -148,7 +148,7 @@ def draw() -> Figure:
             )
         ):
             axes = picture_at(figure, 2.6 + 1.45 * place, top, 1.1, 1.1)
-            # the first two pictures show images, the others show features
+            # the first two pictures show images, the pictures after them show features
             limit = float(image.abs().max()) if place < 2 else largest
             axes.imshow(_tiled(part), cmap="RdBu_r", vmin=-limit, vmax=limit)
             if k == 0:

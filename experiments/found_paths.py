@@ -184,7 +184,7 @@ def _pairs(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """About .7 of the events are at one to five hot pixels, the others anywhere."""
+    """About .7 of the events are at one to five hot pixels, all other events anywhere."""
     t, x, y, p = _uniform(n, rng)
     hot_pixels = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
     which = rng.integers(0, len(hot_pixels), n)

@@ -40,7 +40,7 @@ class Bar(contextlib.AbstractContextManager["Bar"]):
         self._width = 0
 
     def update(self, n: int = 1, title: str | None = None) -> None:
-        """Note that `n` more units are done; `title`, if given, replaces the title."""
+        """Count `n` more units as done; `title`, if given, replaces the title."""
         self.done += n
         if title is not None:
             self.title = title

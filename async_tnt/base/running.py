@@ -33,16 +33,20 @@ class Running:
         return Running, (self.name,)
 
     def begin(self) -> None:
-        """Note that a call begins; raise a RuntimeError if another call is running.
+        """Mark the object as in use.
 
         The caller continues with `try`, and sets `now = False` in its `finally`.
+
+        Raises
+        ------
+        RuntimeError : another call is running.
         """
         if self.now:
             raise self.overlap()
         self.now = True
 
     def overlap(self) -> RuntimeError:
-        """The error of the second call."""
+        """The error of a call that begins while another call is running."""
         return RuntimeError(
             f"a {self.name} was called while another call on it is running, in another thread or "
             f"further up in this one; use one {self.name} per thread, or hold one lock around "

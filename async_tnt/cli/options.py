@@ -112,7 +112,7 @@ def model_of(name: str) -> Model:
 def _live_or_path(text: str) -> str | Path:
     """Read the name of a camera or a network stream as text, and anything else as a path.
 
-    An argparse type.
+    This is an argparse type.
     """
     return text if is_live(text) else user_path(text)
 
@@ -173,7 +173,7 @@ def check_reading(args: argparse.Namespace) -> None:
 
 
 def _times(text: str) -> tuple[int, int]:
-    """Read `1000,2000` as two times, the first before the second. An argparse type."""
+    """Read `1000,2000` as two times, the first before the second. This is an argparse type."""
     start, _, end = text.partition(",")
     # `int` would refuse thousands of digits with an error of its own
     are_numbers = start.isdecimal() and end.isdecimal() and len(text) < 40
@@ -347,7 +347,7 @@ def volume_of(text: str | None) -> dict[str, Any]:
 
 
 def _volume_text(text: str) -> str:
-    """Check the value of --volume, and return it as it is. An argparse type."""
+    """Check the value of --volume, and return it as it is. This is an argparse type."""
     volume_of(text)
     return text
 

@@ -54,7 +54,7 @@ def check_sources(
     Raises
     ------
     ValueError, OSError, ImportError, MemoryError : no source can be opened. The error is that of
-        the last source; the errors of the others are printed.
+        the last source; the errors of all earlier sources are printed.
     """
     problems: list[Exception] = []
     for path in paths:

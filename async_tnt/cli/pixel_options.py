@@ -92,7 +92,7 @@ def map_model_sensor(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
 
 
 def _region(text: str) -> Region:
-    """Read `100,80,34,34` as (100, 80, 34, 34). An argparse type."""
+    """Read `100,80,34,34` as (100, 80, 34, 34). This is an argparse type."""
     try:
         left, top, width, height = [int(number) for number in text.split(",")]
     except ValueError:

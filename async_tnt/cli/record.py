@@ -124,7 +124,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _class_name(text: str) -> str:
-    """Read the name of a class. An argparse type.
+    """Read the name of a class. This is an argparse type.
 
     The name becomes the name of a folder that `train` reads. It must not begin with a dot, because
     `train` leaves out such folders.
@@ -140,7 +140,7 @@ def _class_name(text: str) -> str:
 
 
 def _folder(text: str) -> Path:
-    """Read the path of a folder. An argparse type."""
+    """Read the path of a folder. This is an argparse type."""
     if not text.strip() or "\0" in text:
         raise argparse.ArgumentTypeError(f"must be a folder, got {text!r}")
     return user_path(text)

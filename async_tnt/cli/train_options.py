@@ -170,7 +170,7 @@ def _add_network(group: argparse._ActionsContainer) -> None:
 
 
 def _range(text: str) -> tuple[float, float]:
-    """Read `0.4-0.8` as two numbers, and `0.5` as that number twice. An argparse type."""
+    """Read `0.4-0.8` as two numbers, and `0.5` as that number twice. This is an argparse type."""
     low, _, high = text.partition("-")
     try:
         least = float(low)
@@ -187,5 +187,5 @@ def _range(text: str) -> tuple[float, float]:
 
 
 def _share(text: str) -> float:
-    """Read a number in [0, 1). An argparse type."""
+    """Read a number in [0, 1). This is an argparse type."""
     return number(text, lambda value: 0 <= value < 1, "a share in [0, 1)")

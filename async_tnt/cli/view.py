@@ -173,6 +173,6 @@ def _push_all(packets: Iterable[Any], view: RerunView) -> None:
 
 
 def _milliseconds(text: str) -> int:
-    """Read milliseconds, and return them as microseconds. An argparse type."""
+    """Read milliseconds, and return them as microseconds. This is an argparse type."""
     ms = number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9")
     return round(1000 * ms)

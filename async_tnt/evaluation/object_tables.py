@@ -206,14 +206,14 @@ def _convert_column(path: Path, name: str, column: list[Any]) -> list[Any]:
 
 
 def _microseconds(text: str) -> int:
-    """Read a time of a table; a ValueError if it does not fit into int64."""
+    """Read a time of a table. A time that does not fit into int64 raises a ValueError."""
     if not -(1 << 63) <= int(text) < 1 << 63:
         raise ValueError
     return int(text)
 
 
 def _class_name(text: str | None) -> str:
-    """Read the name of a class; a TypeError if it is missing."""
+    """Read the name of a class. A missing name raises a TypeError."""
     if text is None:
         raise TypeError
     return text

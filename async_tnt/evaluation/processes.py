@@ -157,7 +157,7 @@ def run_on_dask(
 
 
 def _result(future: Any, address: str) -> Any:
-    """The result of a future; an OSError if the scheduler at `address` is gone."""
+    """The result of a future. If the scheduler at `address` is gone, this raises an OSError."""
     try:
         return future.result()
     except CancelledError:

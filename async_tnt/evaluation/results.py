@@ -197,7 +197,7 @@ class ResultFile:
         """Read the records of an earlier run."""
         first_bytes = self._file.read(len(START))
         if not START.startswith(first_bytes):
-            raise ValueError(_foreign_file_text(self._out))
+            raise ValueError(_refusal(self._out, "is not a result of async-tnt"))
         self._file.seek(0)
         for line in iter(self._file.readline, b""):
             if not line.endswith(b"\n"):
@@ -207,7 +207,7 @@ class ResultFile:
             self._add(_record_of(line, self._job, self._out))
 
     def _add(self, record: Record) -> None:
-        """Note a record that is in the file now."""
+        """Add a record that the file has now to `records`."""
         self._names.append(record["recording"])
         self.records[record["recording"]] = record
 
@@ -220,25 +220,27 @@ def _line(record: Record) -> bytes:
 def _record_of(line: bytes, job: Job, out: Path) -> Record:
     """Read the record in a line of the file `out`.
 
-    A ValueError if the line is damaged, or the record does not belong to this job.
+    Raises
+    ------
+    ValueError : the line is damaged, or the record does not belong to this job.
     """
     try:
         record = parse_json(line)
     except ValueError:
         record = None
-    damage_error = ValueError(f"{_foreign_file_text(out)}, or damaged")
+    damage_error = ValueError(_refusal(out, "is not a result of async-tnt, or is damaged"))
     if not isinstance(record, dict) or record.keys() != set(FIELDS):
         raise damage_error
     if not isinstance(record["recording"], str):
         raise damage_error
     if record["settings"] != job.id:
         raise ValueError(
-            f"{out} was made with another model, version or selection of pixels, settings "
-            f"{short(record['settings'])} (now {job.id}): give the same again, name another file, "
-            "or delete this one"
+            f"{out} was made with another model, version or selection of pixels (its settings are "
+            f"{short(record['settings'])}, now they are {job.id}): run with the same settings, "
+            "name another file, or delete this one"
         )
     return record
 
 
-def _foreign_file_text(out: Path) -> str:
-    return f"{out} is not a result of async-tnt: move it away, or name another file"
+def _refusal(out: Path, problem: str) -> str:
+    return f"{out} {problem}: move it away, or name another file"

@@ -22,7 +22,8 @@ def scores_of(
     confusion : int64, shape (K, K): the number of recordings by true class (row) and decided class
         (column). A recording's decided class is the one of the highest mean probability over its
         windows.
-    window_confusion : the same for windows: each window is decided by itself.
+    window_confusion : int64, shape (K, K): the number of windows by true and decided class. Each
+        window is decided by itself.
 
     Returns
     -------

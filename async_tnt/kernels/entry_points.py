@@ -156,7 +156,7 @@ class _Waiting:
         self._is_said = False
 
     def begin(self, has_folder: bool) -> None:
-        """Note that a compilation begins.
+        """Start to measure a compilation, and say why this process waits if it has waited long.
 
         has_folder : whether there is a folder for the code.
         """
@@ -164,7 +164,7 @@ class _Waiting:
         self._began_s = time.perf_counter()
 
     def end(self) -> None:
-        """Note that the compilation has ended."""
+        """Add the time of the compilation that ends now."""
         self._seconds += time.perf_counter() - self._began_s
 
     def _say(self, has_folder: bool) -> None:
@@ -250,9 +250,9 @@ def prepare(*entry_points: EntryPoint) -> None:
 
 
 def _call_of(entry: EntryPoint, function: Callable[..., Any]) -> Any:
-    """What a kernel compiles where it calls an entry point: a call of another code's symbol.
+    """What Numba compiles where a kernel calls an entry point: a call of the entry point's symbol.
 
-    So the callee's code is not compiled into its caller once more.
+    So the code of the entry point is not compiled once more into each kernel that calls it.
     """
 
     def call(typingctx: Any, *arguments: Any) -> Any:
@@ -264,7 +264,8 @@ def _call_of(entry: EntryPoint, function: Callable[..., Any]) -> Any:
             function_type = convention.get_function_type(returns, entry.types)
             callee = cgutils.get_or_insert_function(builder.module, function_type, entry.symbol)
             status, result = convention.call_function(builder, callee, returns, entry.types, values)
-            # An index out of bounds, where indices are checked.
+            # Where indices are checked, an index may be out of bounds in the callee. Its error is
+            # passed on.
             with cgutils.if_unlikely(builder, status.is_error):
                 convention.return_status_propagate(builder, status)
             return result

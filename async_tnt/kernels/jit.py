@@ -56,20 +56,22 @@ SOURCES = sources_digest()
 
 
 def cached(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile at the first call, or load what an earlier process compiled.
+    """Numba's dispatcher of a function. It compiles the function, or loads its code from the disk.
 
-    Where neither the package's folder nor the user's cache folder is writable, Numba refuses to
-    decorate a function for its cache, and every process compiles for itself. NUMBA_CACHE_DIR can
-    name another folder.
+    An earlier process has stored this code in Numba's cache: in the package's folder, or else in
+    the user's cache folder. If neither folder can be written, Numba raises a RuntimeError for a
+    function with a cache. Then the function has no cache, and every process compiles it.
+    NUMBA_CACHE_DIR can name another folder.
     """
     try:
         kernel = _strict(cache=True, **options)(function)
     except RuntimeError:
         return _strict(**options)(function)
 
-    # Numba compares only the time and the size of the function's own file. After an edit of a
-    # formula that is compiled into the function from another file, it would still serve the old
-    # code. So every cached kernel is made to depend on the content of all files here.
+    # Numba takes the code in its cache as current if the function's own file has the same time and
+    # size. It would load old code after an edit of a formula that is compiled into the function
+    # from another file. So the cached code of every kernel depends on the content of all files of
+    # `kernels`.
     cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = (SOURCES, BOUNDS_CHECKED)

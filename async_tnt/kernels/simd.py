@@ -96,13 +96,14 @@ class Simd:
 
         Parameters
         ----------
-        n : the number of turns, at least 1.
-        sums : list of registers, the first ones.
-        body : builds the instructions of a turn. Takes k and registers, returns as many.
+        n : the number of iterations, at least 1.
+        sums : list of registers, the values before the first iteration.
+        body : builds the instructions of an iteration. It takes k and the values before the
+            iteration, and returns the values after it, in a list of the same length.
 
         Returns
         -------
-        list of registers, the last ones.
+        list of registers, the values after the last iteration.
         """
         builder = self.builder
         before = builder.block
@@ -118,8 +119,8 @@ class Simd:
         end = builder.block  # another block than `inside` if the body holds a loop
         counter.add_incoming(whole(0), before)
         counter.add_incoming(next_counter, end)
-        for phi, first, value in zip(carried, sums, new, strict=True):
-            phi.add_incoming(first, before)
+        for phi, start, value in zip(carried, sums, new, strict=True):
+            phi.add_incoming(start, before)
             phi.add_incoming(value, end)
         builder.cbranch(builder.icmp_signed("<", next_counter, n), inside, after)
 

@@ -114,8 +114,10 @@ def _read_model(path: Path) -> Model:
 def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> Model:
     """The model of a file's tensors and metadata.
 
-    A ValueError or TypeError if they are not what `save` wrote. A NotImplementedError if this
-    release cannot run a layer.
+    Raises
+    ------
+    ValueError, TypeError : they are not what `save` wrote.
+    NotImplementedError : this release cannot run a layer.
     """
     file_checksum = metadata.get("sha256")
     if file_checksum is not None and file_checksum != checksum_of(weights, metadata):

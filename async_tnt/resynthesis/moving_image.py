@@ -121,29 +121,29 @@ class MovingImage:
     def frequencies(self) -> tuple[np.ndarray, np.ndarray]:
         """All frequencies (qx, qy), in radians per cell.
 
-        Negative qx are left out, as their values follow from the others.
+        Negative qx are left out, as their values follow from those of positive qx.
         """
         rows, columns = self.shape
         return 2 * np.pi * np.fft.rfftfreq(columns), 2 * np.pi * np.fft.fftfreq(rows)
 
     @cached_property
-    def band(self) -> tuple[np.ndarray, np.ndarray]:
+    def band_frequencies(self) -> tuple[np.ndarray, np.ndarray]:
         """The frequencies (qx, qy) with which a path is found."""
         qx, qy = self.frequencies
         return qx[qx <= BAND], qy[np.abs(qy) <= BAND]
 
     @cached_property
     def band_weights(self) -> np.ndarray:
-        """The weight of each qx of the band: 1 for qx = 0, and 2 for the others.
+        """The weight of each qx of the band: 1 for qx = 0, and 2 for positive qx.
 
-        These count twice, because the negative qx are left out.
+        Positive qx count twice, because negative qx are left out.
         """
-        return np.where(self.band[0] > 0, 2.0, 1.0)
+        return np.where(self.band_frequencies[0] > 0, 2.0, 1.0)
 
     @cached_property
     def band_prior(self) -> np.ndarray:
         """Q of the band's F frequencies, (F,); qx changes fastest."""
-        qx, qy = self.band
+        qx, qy = self.band_frequencies
         squared: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]  # |D|^2
         return (ROUGHNESS * squared + LEVEL).ravel()
 
@@ -211,18 +211,29 @@ class MovingImage:
         The evidence E, its gradient dE/dr, (K, 2), and its curvature, (2K, 2K). The curvature is
         minus the second derivative of E for fixed images, in the Gauss-Newton approximation.
         """
-        qx, qy = self.band
+        qx, qy = self.band_frequencies
         gradient = np.empty((N_FRAMES, 2))
-        phases = np.empty(band.shape[1:], np.complex128)  # see `evidence_terms`
+        # `evidence_terms` fills in both: the gradient, and at each frequency the path's phases,
+        # times the root of the images' weighted power
+        weighted_phases = np.empty(band.shape[1:], np.complex128)
         evidence = evidence_terms(
-            band, path, qx, qy, self.band_weights, self.band_prior, self.whitening, gradient, phases
+            band,
+            path,
+            qx,
+            qy,
+            self.band_weights,
+            self.band_prior,
+            self.whitening,
+            gradient,
+            weighted_phases,
         )
         inverse = self.whitening.T @ self.whitening  # V^-1
         q = np.stack([np.tile(qx, len(qy)), np.repeat(qy, len(qx))])  # (2, F)
         curvature = np.empty((N_FRAMES, 2, N_FRAMES, 2))
         # the second derivatives in x and x, x and y, y and y
         for i, j in ((0, 0), (0, 1), (1, 1)):
-            part = (phases.conj().T @ ((q[i] * q[j])[:, None] * phases)).real * inverse
+            times_q = (q[i] * q[j])[:, None] * weighted_phases
+            part = (weighted_phases.conj().T @ times_q).real * inverse
             curvature[:, i, :, j] = part
             curvature[:, j, :, i] = part.T
         return evidence, gradient, curvature.reshape(2 * N_FRAMES, 2 * N_FRAMES)
@@ -235,8 +246,8 @@ class MovingImage:
         band : complex128, (F, K), of one window, from `band_of`.
         path : float64, (K, 2), in cells.
         """
-        white = self.white_motion(path, *self.band).reshape(band.shape)
-        weights = np.tile(self.band_weights, len(self.band[1]))
+        white = self.white_motion(path, *self.band_frequencies).reshape(band.shape)
+        weights = np.tile(self.band_weights, len(self.band_frequencies[1]))
         h = (np.abs(white) ** 2).sum(1)
         b = (white.conj() * band).sum(1)
         mean = b / (h + self.band_prior)  # the posterior mean of the image

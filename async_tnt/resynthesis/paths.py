@@ -11,7 +11,8 @@ The search finds a path in any window, even one with noise or with several objec
 cannot be relied on. So a path must pass three tests:
 
 - Its evidence exceeds that of all paths that lead the other way by `MIN_MARGIN`.
-- It explains a larger share of the signal than any path explains of noise with as many events.
+- It explains a larger share of the signal than any path explains of noise with the same number of
+  events.
 - In each half of the picture (left, right, above and below the middle of the events) it is more
   likely than its reverse. If two objects move in opposite directions, this test fails, because the
   reverse is more likely in the half with the other object.
@@ -157,7 +158,7 @@ class PathFinder:
         Parameters
         ----------
         band : complex128, (N, F, K), `MovingImage.band_of` of the windows' spectra.
-        halves : complex128, (N, 4, F, K), the same for the four halves of the windows' pictures.
+        halves : complex128, (N, 4, F, K), the bands of the four halves of each window's pictures.
         n_events : number of events of each window.
         span : number of consecutive windows that `band` was computed from.
         """
@@ -271,8 +272,8 @@ class PathFinder:
         """
         model = self.model
         prior = model.band_prior
-        weights = np.tile(model.band_weights, len(model.band[1]))
-        white = model.white_motion(self.dictionary, *model.band)
+        weights = np.tile(model.band_weights, len(model.band_frequencies[1]))
+        white = model.white_motion(self.dictionary, *model.band_frequencies)
         white = white.reshape(len(self.dictionary), len(prior), N_FRAMES)
         h = (np.abs(white) ** 2).sum(-1)
         table = white.conj() * np.sqrt(0.5 * weights / (h + prior))[..., None]

@@ -44,11 +44,11 @@ REFRACTORY_SPREAD = 0.4
 
 @dataclass(frozen=True)
 class SimulatedPixels:
-    """The sensor that re-synthesized events come from.
+    """The distribution of the pixels that re-synthesized events come from.
 
     Parameters
     ----------
-    measured : the pixels as measured on recordings, with the refractory time that is simulated.
+    measured : the pixels as measured on recordings, with the mean refractory time.
     scale : factor of the thresholds. The unit of the images is the thresholds with scale 1.
         `calibrate` finds the scale.
     """
@@ -102,20 +102,20 @@ class MovedImage:
             finer(image, FINENESS), FINENESS / model.cell, origin, start, model.sensor
         )
 
-    def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events of simulated `pixels` under the recorded motion. `rng` draws pixels and noise."""
+    def as_recorded(self, distribution: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
+        """Events under the recorded motion. `rng` draws pixels from `distribution`, and noise."""
         displacement = self.path.window_start + self.path.at(shares())
-        return self.events(displacement, np.zeros((N_PICTURES, 2)), pixels, rng)
+        return self.events(displacement, np.zeros((N_PICTURES, 2)), distribution, rng)
 
     def moved(
-        self, length: float, pixels: SimulatedPixels, rng: np.random.Generator
+        self, length: float, distribution: SimulatedPixels, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
         """Events under a random motion.
 
         Parameters
         ----------
         length : length of the recorded motions, in sensor pixels.
-        pixels : the simulated sensor.
+        distribution : the distribution of the pixels.
         rng : draws the motion, the pixels and their noise.
 
         Returns
@@ -128,21 +128,26 @@ class MovedImage:
         to_middle = rng.random() * (middle - self._centre)
         place = self._centre + to_middle + rng.uniform(-most_px, most_px, 2)
         displacement = self._halfway + (place - self._centre) + motion
-        return self.events(displacement, turn, pixels, rng), motion - motion[0]
+        return self.events(displacement, turn, distribution, rng), motion - motion[0]
 
     def events(
         self,
         displacement: np.ndarray,
         turn: np.ndarray,
-        pixels: SimulatedPixels,
+        distribution: SimulatedPixels,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Events of simulated `pixels` under a given motion. `rng` draws pixels and noise.
+        """Events under a given motion.
 
+        Parameters
+        ----------
         displacement, turn : the motion at the times `shares()`, see `PeriodicImage.frames`.
+        distribution : the distribution of the pixels.
+        rng : draws the pixels and their noise.
         """
         times_us = self.model.window_us * shares()
-        return self.picture.events(times_us, displacement, turn, pixels.draw(rng), rng)
+        pixels = distribution.draw(rng)
+        return self.picture.events(times_us, displacement, turn, pixels, rng)
 
 
 def shares() -> np.ndarray:

@@ -7,9 +7,10 @@ refractory    .1 to 3 ms, log-uniform
 bandwidth     200 to 5,000 Hz in the brightest light, log-uniform
 noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of them are ON
 leak          up to .3 events a pixel and second
-after-pulses  half of the cameras have none; in the others up to a third of the events have one
-hot pixels    half of the cameras have none; in the others up to one pixel in 500 is hot, with 50
-              events a second
+after-pulses  half of the cameras have none; in the other half up to a third of the events have an
+              after-pulse
+hot pixels    half of the cameras have none; in the other half up to one pixel in 500 is hot, with
+              50 events a second
 
 If a recording of the camera exists, the values measured on it replace some of these ranges. The
 ratio of thresholds, the noise and the after-pulses are drawn within a factor of 1.25 of the

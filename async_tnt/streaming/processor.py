@@ -292,7 +292,7 @@ class Processor(TriggerAttributes):
         return windows.oldest, windows.oldest.start_us
 
     def _take_watched(self, columns: Columns) -> list[Decision]:
-        """Add checked events. If the first of them is late, look for a restart before."""
+        """Add checked events. If the first event is late, first look for a restart."""
         if self._decoder.first_us >= self._late_before_us:
             return self._absorb(self._decoder.apply_policy(columns))
         watch = self._restarts
@@ -313,7 +313,7 @@ class Processor(TriggerAttributes):
 
     @property
     def _newest_us(self) -> int:
-        """Time of the newest event so far; -1 if there was none."""
+        """Time of the stream's newest event so far; -1 if there was none."""
         return max(self._stream_time_us, self._windows.oldest.newest_us)
 
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
@@ -335,8 +335,8 @@ class Processor(TriggerAttributes):
         decisions: list[Decision] = []
         first = 0
         n = columns.n
-        # If the classifier raised an error at a window's end, the window is full before the first
-        # event.
+        # If the classifier raised an error when a window became full, this window is still open,
+        # and full before the first event.
         while first < n or windows.is_full:
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
@@ -346,7 +346,7 @@ class Processor(TriggerAttributes):
                 first = windows.absorb(columns, first, n)
 
             if windows.is_full:
-                self._close_oldest(windows.oldest.newest_us, decisions)
+                self._decide_and_close_oldest(windows.oldest.newest_us, decisions)
             elif first < n and len(windows):
                 is_due = self._triggers.next_due_us < windows.oldest_end_us
                 if is_due and self._decides_in_stretches and n - first >= STRETCH:
@@ -428,12 +428,12 @@ class Processor(TriggerAttributes):
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new_decisions, t_us, decisions)
             elif end_us <= t_us:
-                self._close_oldest(end_us, decisions)
+                self._decide_and_close_oldest(end_us, decisions)
             else:
                 break
         self._open_windows(t_us)
 
-    def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
+    def _decide_and_close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
         """Decide about the complete oldest window, unless it is empty, and close it."""
         oldest = self._windows.oldest
         # The decision is made before the window is closed, so that the window stays open if the
@@ -462,7 +462,9 @@ class Processor(TriggerAttributes):
             self._windows.set_limit(self._triggers.next_due_us)
 
     def _begin_oldest(self, now_us: int) -> None:
-        """Note that another window has become the oldest, or that no window is open any more.
+        """Set what depends on the oldest window, after another one has become the oldest.
+
+        This is also called when no window is open any more.
 
         now_us : a time at or after all events so far.
         """
@@ -500,17 +502,18 @@ class Processor(TriggerAttributes):
 
     def _finish(self) -> list[Decision]:
         decisions: list[Decision] = []
-        newest_us = self._newest_us
-        # a window is still full if the classifier raised an error at its end
+        end_us = self._newest_us
+        # If the classifier raised an error when this window became full, the window is still open.
+        # It is complete, so its decision has the trigger `window`, not `end`.
         if self._windows.is_full:
-            self._close_oldest(self._windows.oldest.newest_us, decisions)
+            self._decide_and_close_oldest(self._windows.oldest.newest_us, decisions)
         while len(self._windows):
             oldest = self._windows.oldest
             if oldest.n_events:
                 decisions.append(self._classifier.decide(oldest, "end"))
-            self._stream_time_us = newest_us
+            self._stream_time_us = end_us
             self._windows.close_oldest()
-            self._begin_oldest(newest_us)
+            self._begin_oldest(end_us)
         return decisions
 
     @one_at_a_time

@@ -118,7 +118,7 @@ class RestartWatch:
         return None
 
     def note(self, newest_us: int, n_events: int) -> None:
-        """Note the newest time and the number of events once the packet has been used."""
+        """Store the newest time and the number of events after the packet has been used."""
         self._last_use = (newest_us, n_events)
 
     def _answer_restart(self, columns: Columns, first: int, newest_us: int) -> int | None:

@@ -116,7 +116,7 @@ class Triggers:
         self._prepare()
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
-        """Note that the oldest window now starts at `start_us`; None: no window is open."""
+        """Begin again for an oldest window from `start_us` on; None: no window is open."""
         self.n_at_decision = 0
         self._ints[T.DUE_US] = NEVER_US
         if start_us is not None:

@@ -176,9 +176,9 @@ class WindowScheduler:
         return absorbed
 
     def begin_sharing(self, columns: Columns, first: int) -> None:
-        """Note the counts before the oldest window absorbs the events from `first` on.
+        """Keep the counts before the oldest window absorbs the events from `first` on.
 
-        If windows do not overlap, nothing is noted, and `share` does nothing.
+        If windows do not overlap, nothing is kept, and `share` does nothing.
         """
         if self.overlap:
             oldest = self._open[0]
@@ -187,7 +187,7 @@ class WindowScheduler:
             self._sharing = _Sharing(columns, first, counts, oldest_counts, self._received())
 
     def share(self) -> None:
-        """Add the events that the oldest window has absorbed since `begin_sharing` to the others.
+        """Add the oldest window's events since `begin_sharing` to the other open windows.
 
         The scheduler counts them once. This may be called again after an exception: nothing is done
         twice.
@@ -400,7 +400,7 @@ class TimeUnitCheck:
         return decisions
 
     def add(self, n_events: int) -> None:
-        """Note that the next window holds `n_events`; warn when enough windows are known."""
+        """Count the next window, which holds `n_events`; warn when enough windows are known."""
         self._n_unjudged -= 1
         if n_events <= FEW_EVENTS:
             self._n_small += 1

@@ -173,7 +173,8 @@ def showing_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -
 
     is_hot = kinds == HOT_PIXELS
     place[is_hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((is_hot.sum(), 6)))
-    # One, two or three of a window's three hot pixels are different. The others repeat the first.
+    # A window has three hot pixels, of which one, two or three are different. The remaining pixels
+    # repeat the first.
     n_different = rng.integers(1, 4, is_hot.sum())
     for k in (1, 2):
         x_and_y = place[is_hot, 2 * k : 2 * k + 2]

@@ -65,8 +65,8 @@ class Reading:
 
     Parameters
     ----------
-    pixels : selects the events to learn from by their pixels. The others are removed as if they had
-        never been recorded: times count from the first event that is left.
+    pixels : selects the events to learn from by their pixels. All other events are removed as if
+        they had never been recorded: times count from the first event that is left.
     options : facts about files that do not state them. The sensor of `pixels` is used, not the one
         of `options`.
     work : where the events are kept, and which progress bar is shown.

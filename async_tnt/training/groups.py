@@ -1,8 +1,9 @@
 """Groups of recordings that stay together when some are held out.
 
 The recordings of one person, car or session look alike. Later the model will see other persons,
-cars or sessions. So whole groups are held out: then held-out recordings differ from the learned
-ones as much as new recordings will, and the accuracy on them says how good the model will be.
+cars or sessions. So whole groups are held out. Then held-out recordings differ from the recordings
+to learn from as much as new recordings will, and the accuracy on the held-out recordings says how
+good the model will be.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from async_tnt.base.checks import ParameterValueError
 from async_tnt.sources.files.labelled_recordings import file_of
 
 MIN_WINDOWS = 10
-"""Least number of windows of which the last ones are held out, see `hold_out_end`."""
+"""Fewest windows of a class from which `hold_out_end` holds out the last windows."""
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
@@ -57,7 +58,7 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
 def hold_out_last(
     names: Sequence[str], labels: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Hold out the recordings of each class that have the highest numbers in their names.
+    """Hold out, in each class, the recordings with the highest numbers in their names.
 
     The names of a class must differ in numbers only. Several numbers in a name are compared from
     left to right. Parts of sessions count as not numbered.

@@ -23,20 +23,23 @@ from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows
 
 BY_NUMBER = "number, the last ones"
-"""The value of `Division.held_out_by` if the highest numbers of each class are held out."""
+"""The value of `Division.held_out_by` if the recordings with the highest numbers in each class are
+held out."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """How a data set is divided.
+    """How a data set is divided into recordings to learn from and recordings to hold out.
 
     Parameters
     ----------
-    validation : share of each class's recordings to hold out. At least one recording is held out of
-        a class with two groups. 0: nothing is held out.
+    validation : share of each class's recordings to hold out, rounded to whole recordings, but at
+        least one recording. A class with a single recording or a single group is not held out. 0:
+        nothing is held out.
     groups : a regular expression that finds a recording's group in its name, see
-        `groups_by_pattern`. None: the recordings of each class with the highest numbers are held
-        out, or recordings drawn at random if they are not numbered.
+        `groups_by_pattern`. Whole groups are held out then. None: if the names of recordings are
+        numbered, the recordings with the highest numbers in each class are held out; if not, the
+        held-out recordings, or sessions, are drawn at random.
     test : whether the recordings of the part `Test` are read, too.
     seed : seed of the groups that are drawn, and of the simulated recordings of pictures.
 
@@ -65,7 +68,8 @@ class Division:
     ----------
     learned, held_out : int64, indices of recordings and pictures.
     held_out_by : the rule that divided them, as text for the model's record.
-    count_text : text that says how many recordings, or groups of them, are held out of how many.
+    count_text : text with two numbers: how many recordings or groups are held out, and how many
+        there are.
     """
 
     learned: np.ndarray

@@ -74,7 +74,7 @@ def train(
     run_folder : the folder for checkpoint and history; made if missing.
     start : a model to continue from; None starts with random weights.
     motions : the training windows under other motions, see `moved_windows`. Each epoch shows some
-        windows as recorded, and the others under another motion.
+        windows as recorded, and all other windows under another motion.
     teachers : models that the trained model imitates. The mean of their probabilities makes up half
         of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
     progress : makes the progress bar, which counts optimizer steps.
@@ -334,9 +334,9 @@ def batches_of(
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A random order of window indices in which all classes have equally many indices, or one more.
 
-    The order has as many indices as there are labels. If a class has too few windows, they are
-    repeated, each time in another order. If a class has too many, each epoch shows a different part
-    of them.
+    The length of the order is the number of labels. If a class has too few windows, they are
+    repeated, each time in another order. If a class has too many windows, each epoch shows a
+    different part of them.
 
     The alternative is to show rare classes seldom, but with a large weight in the loss. It is
     worse, because steps are steadier if each batch has windows of a rare class. And augmentation
@@ -350,7 +350,7 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
     counts = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
-    # Which classes get one index more than the others is drawn at random.
+    # The classes that get one index more are drawn at random.
     rng.shuffle(counts)
     chosen = []
     for indices, count in zip(members, counts, strict=True):

@@ -277,7 +277,7 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
         tensor_names = first_weights(network[name])
         for tensor in tensor_names:
             weights[tensor] = weights[tensor] * scale.cpu().numpy()
-        if not tensor_names:  # the scale becomes a layer of its own, before the others
+        if not tensor_names:  # the scale becomes a layer of its own, the first one
             network[name], tensors = _scaled(
                 name, network[name], pipeline.config.channels, float(scale)
             )

@@ -249,7 +249,12 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._file.discard()
 
     def _flush(self) -> None:
-        """Wait until everything that was logged is written. An OSError if it cannot be written."""
+        """Wait until everything that was logged is written.
+
+        Raises
+        ------
+        OSError : it cannot be written.
+        """
         with _as_os_error(self._error_text):
             self._stream.flush(timeout_sec=PATIENCE_S)
 

@@ -94,7 +94,7 @@ def write_manifest(moving_set: MovingMnist) -> None:
             requested = requested.get(name)
         raise ValueError(
             f"{path}: made with other parameters: {name} is {existing!r}, requested "
-            f"{requested!r}. Give the same, or another folder"
+            f"{requested!r}. Give the same parameters, or another folder"
         )
     if any(shard.exists() for shard in moving_set.shards):
         raise ValueError(

@@ -93,7 +93,7 @@ class Moments:
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
         """`n_blocks` runs of `size` consecutive moments.
 
-        They are spread evenly over one lap, or over as many laps as they need.
+        The runs are spread evenly over one lap, or over several laps if one lap is too short.
         """
         step = max(size, self.a_lap // n_blocks)
         for first in range(0, n_blocks * step, step):

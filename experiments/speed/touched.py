@@ -1,9 +1,12 @@
 """What a decision has to compute.
 
 This module counts the cells of the volume that new events change, and the places of each layer that
-changes reach. These places are computed. If the bits of a place stay the same, the change ends
-there. So fewer places are computed than the events could reach: the transform drops many events,
-and a change ends where the ReLU of every filter stays at zero.
+are computed. A place is computed if its inputs have changed. If the computed numbers have the same
+bits as before, the place has not changed, and places that depend on it need not be computed.
+
+Two things make the number of computed places smaller than the number of places that depend on the
+positions of the events. The transform drops many events. And a place does not change if the ReLU of
+every filter stays at zero.
 """
 
 from __future__ import annotations

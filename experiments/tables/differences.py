@@ -134,7 +134,11 @@ def answer(question: str, measured: Sequence[Difference]) -> str:
 
 
 def thesis_answers() -> str:
-    """A table of all differences to the thesis' Baseline on simulated sets that hold."""
+    """A table of the differences between rows that transform events and the thesis' Baseline.
+
+    The columns are the rows and what they were trained on. There is a line for each simulated set
+    on which at least one difference holds, and only differences that hold are shown.
+    """
     to_baseline = [
         difference
         for difference in _differences()
@@ -162,8 +166,8 @@ def thesis_answers() -> str:
         for row in TRANSFORMED
     ]
     sentence = (
-        f"Of {len(to_baseline)} differences to the Baseline on simulated sets these hold. Columns: "
-        "the row and what it was trained on."
+        f"{len(to_baseline)} differences to the Baseline were tested on simulated sets. The table "
+        "has those that hold. Columns: the row, and what it was trained on."
     )
     return f"{sentence}\n\n{table(['simulated set', *column_titles], body)}"
 

@@ -157,7 +157,7 @@ def equivariance(report: dict[str, Any]) -> str:
 
 
 def resynthesis() -> str:
-    """A table of accuracies with re-synthesis, and of controls trained for as many steps."""
+    """A table of accuracies with re-synthesis, and of controls with the same number of steps."""
     return markdown_table(_accuracies(), ("motions",), MOTIONS_COLUMNS)
 
 

@@ -55,7 +55,7 @@ def merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def _merged_differences(old: dict[str, Any], new: dict[str, Any]) -> list[dict[str, Any]]:
-    """The differences of both records by question, without old ones of replaced numbers."""
+    """The differences of both records by question, without old differences of replaced numbers."""
     replaced_numbers = {
         (row, column) for row, columns in new["table"].items() for column in columns
     }

@@ -20,7 +20,7 @@ The thesis scales time from a window's first event to its last. Rows of the grou
 over the whole saccade or over 1,000 events. The group `representations` has event images, and TNT
 about `window`. The group `motions` has motion re-synthesis, an augmentation that the thesis does
 not have. Its rows show what recordings of one motion can teach, not what a network infers by
-itself. Its controls are trained for as many steps.
+itself. Its controls are trained for the same number of steps.
 
 References
 ----------
@@ -280,7 +280,7 @@ def _spans() -> Iterator[Row]:
 
 
 def _motions() -> Iterator[Row]:
-    """Rows with motion re-synthesis, and a control that is trained for as many steps."""
+    """Rows with motion re-synthesis, and a control trained for the same number of steps."""
     row = partial(Row, group="motions", iterations=STEPS_MORE)
     yield row(
         name="raw-motions",

@@ -111,7 +111,7 @@ def run_network(
     settings: TrainSettings,
     folder: Path,
 ) -> dict[str, Any]:
-    """Train and test one network, or return its earlier result if that has the same settings.
+    """Train and test one network, or return an earlier result that was made with its settings.
 
     Parameters
     ----------

@@ -298,7 +298,7 @@ def _check_landmark(landmark: str, regressor: nn.Module | None) -> None:
 
 
 def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
-    """The grid; a ValueError if its sides cannot be halved twice."""
+    """The grid. If its sides cannot be halved twice, this raises a ValueError."""
     width, height = check_size("grid", grid)
     if min(width, height) < 4:
         raise ValueError(

@@ -199,7 +199,7 @@ def check_polarity(polarity: str) -> None:
 
 
 def whole_number(name: str, value: int) -> int:
-    """The value as an int. A TypeError if it is not a whole number."""
+    """The value as an int. A value that is not a whole number raises a TypeError."""
     try:
         return operator.index(value)
     except TypeError:

@@ -89,7 +89,7 @@ def test_a_set_of_other_parameters_or_without_its_manifest_is_refused_and_left_a
     before = files_of(made.folder)
     with pytest.raises(
         ValueError,
-        match=r"set\.json: made with other .*: seed is 0, requested 1\. Give the same, or ",
+        match=r"set\.json: made with other .*: seed is 0, requested 1\. Give the same parameters",
     ):
         build(mnist, made.folder, **QUICK | {"seed": 1})
     (tmp_path / made.shards[0].name).write_bytes(made.shards[0].read_bytes())

@@ -114,7 +114,7 @@ def test_the_page_of_results_shows_all_that_holds_of_the_thesis_question():
     ]
     page = (pages.ROOT / "docs/results.md").read_text(encoding="utf-8")
     [(n_asked, lines)] = re.findall(
-        r"^Of (\d+) differences to the Baseline .*\n\n((?:\|.*\n)+)", page, re.MULTILINE
+        r"^(\d+) differences to the Baseline .*\n\n((?:\|.*\n)+)", page, re.MULTILINE
     )
     head, rows = rows_of(lines.splitlines())
     trained_on = {"all saccades": "all", "the first saccade": "1"}

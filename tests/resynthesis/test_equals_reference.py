@@ -25,7 +25,7 @@ class SmallTorus(moving_image.MovingImage):
     def __init__(self):
         super().__init__((34, 34), 1_000)
         self.shape = (5, 7)
-        self.band = self.frequencies
+        self.band_frequencies = self.frequencies
 
 
 MODEL = SmallTorus()

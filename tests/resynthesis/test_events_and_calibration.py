@@ -182,9 +182,9 @@ def test_thresholds_are_scaled_until_there_are_as_many_events():
         def __init__(self):
             self.drawn = set()
 
-        def as_recorded(self, pixels, rng):
+        def as_recorded(self, distribution, rng):
             self.drawn.add(rng.random())
-            return np.zeros(round(1_000 / pixels.scale), EVENT_DTYPE)
+            return np.zeros(round(1_000 / distribution.scale), EVENT_DTYPE)
 
     drawn = []
     for seed in (0, 1):

@@ -64,8 +64,8 @@ CLASS = 3
 NUMBER = 4
 FOUND_SIZE = 5  # numbers in a row
 
-# `tracks`, float64: rows of four numbers. The first three rows are headers, the others objects of
-# earlier decisions.
+# `tracks`, float64: rows of four numbers. The first three rows are headers. The rows after them are
+# objects of earlier decisions.
 # the first header: how many objects are known, and for how long
 HEAD = 0
 N_KNOWN = 0
@@ -264,7 +264,7 @@ def _write_score(maps, about, scores, y, x):
 
 @compiled
 def _note_peaks(scores, peaks, y, word, candidates):
-    """Note which `candidates` are peaks: a bit for each place in a word of a row."""
+    """Store which `candidates` are peaks: a bit for each place in a word of a row."""
     columns = scores.shape[1]
     untested = candidates
     peak_bits = np.uint64(0)
@@ -389,7 +389,7 @@ def _number_objects(found, n, tracks, time_us, keep):
 
 @compiled
 def _remember(found, n, tracks, is_taken, time_us):
-    """Keep in `tracks` the objects of this decision, and stale ones as far as there is room.
+    """Keep in `tracks` the objects of this decision, and stale objects as far as there is room.
 
     An object is stale if it was known and is not taken now. An object that was last seen too long
     ago is forgotten: it is marked as taken.

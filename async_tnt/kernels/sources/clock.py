@@ -37,7 +37,7 @@ NO_LIMIT = -1
 
 @entry_point(uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
 def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
-    """Drop the events of one packet whose time jumps, and shift the times of the others.
+    """Drop a packet's events whose times jump, and shift the times of the kept events.
 
     Parameters
     ----------

@@ -46,7 +46,15 @@ def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     complex128[:, ::1],
 )
 def evidence_terms(
-    spectra, path, frequencies_x, frequencies_y, weights, prior, whitening, gradient, phases
+    spectra,
+    path,
+    frequencies_x,
+    frequencies_y,
+    weights,
+    prior,
+    whitening,
+    gradient,
+    weighted_phases,
 ):
     """The evidence of a path for N windows, summed over the windows, and its gradient.
 
@@ -68,7 +76,8 @@ def evidence_terms(
     prior : float64, (F,): Q.
     whitening : float64, (K, K), lower triangular: W.
     gradient : float64, (K, 2). Overwritten.
-    phases : complex128, (F, K): e_k times the root of the weighted sum of |X|^2. Overwritten.
+    weighted_phases : complex128, (F, K): e_k times the root of the sum over windows of |X|^2, which
+        is weighted with `weights`. Overwritten.
 
     Returns
     -------
@@ -123,7 +132,7 @@ def evidence_terms(
             slope = weight * (1j * np.conj(phase[k]) * total).real
             gradient[k, 0] += qx * slope
             gradient[k, 1] += qy * slope
-            phases[f, k] = np.sqrt(weight * power) * phase[k]
+            weighted_phases[f, k] = np.sqrt(weight * power) * phase[k]
     return evidence
 
 

@@ -225,8 +225,8 @@ def _event_of_nothing(content, place, seed, i, share):
     Parameters
     ----------
     content : int. The kind of nothing that the window shows.
-    place : float64, (8,), in sensor pixels. Its last number is the share of ON events. The others
-        depend on the kind of nothing:
+    place : float64, (8,), in sensor pixels. Its last number is the share of ON events. The meaning
+        of the first seven numbers depends on the kind of nothing:
         SCATTERED, ONE_POLARITY, PATCH : left, top, width and height of the events' rectangle.
         HOT_PIXELS : x and y of three pixels.
         EDGE : x and y of a point of the edge, the edge's normal (cosine, sine), the distance that

@@ -119,7 +119,7 @@ def mark_unread(ints):
 
 @inlined
 def _note_read(ints):
-    """Note that the array shows all events of the window."""
+    """Mark the array as up to date: it shows all events of the window."""
     ints[S.N_READ] = ints[S.N_LOG]
     ints[S.INTERVAL_LO] = S.NO_INTERVAL
     ints[S.INTERVAL_HI] = -1

@@ -50,7 +50,7 @@ MAX_TIME_US = 1 << 62
 BAD = -1
 """What is returned instead of a time if a number breaks its rule."""
 RAW = types.Array(types.uint8, 1, "C", readonly=True)
-"""Numba's type of bytes. Arrays that can be written pass for read-only ones."""
+"""Numba's type of bytes. Numba also accepts arrays that can be written."""
 COLUMNS = (int64[::1], uint16[::1], uint16[::1], uint8[::1])
 """Numba's types of the columns t, x, y, p."""
 
@@ -96,7 +96,7 @@ def _load_kind(raw, offset, kind):
     """The number of this kind from byte `offset` on, as int64."""
     if kind == U16:
         return np.int64(load(raw, offset, np.uint16))
-    if kind == I64:  # A uint64 beyond int64 turns negative, which no field allows.
+    if kind == I64:  # a uint64 beyond int64 becomes negative, which no field allows
         return load(raw, offset, np.int64)
     if kind == U8:
         return np.int64(load(raw, offset, np.uint8))

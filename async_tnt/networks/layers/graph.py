@@ -100,7 +100,7 @@ def tensors_of(layers: Sequence[Layer]) -> set[str]:
 
 
 def _name_of(place: int, layer: Layer) -> str:
-    """The layer's name; a ValueError if it is no layer."""
+    """The layer's name. This raises a ValueError if `layer` is no layer."""
     name = layer.get("name") if isinstance(layer, Mapping) else None
     if not isinstance(name, str) or not isinstance(layer.get("op"), str):
         raise ValueError(
@@ -116,7 +116,7 @@ class _CheckedLayers:
     ----------
     shapes : layer -> the shape of its output; also VOLUME -> the shape of the volume.
     flat_maps : the layers whose output is a map of more than one place, flattened to a vector. Only
-        a dense layer knows the order of its numbers.
+        a dense layer may read such a vector, as it depends on the order of the map's numbers.
     """
 
     def __init__(self, volume: Shape, tensors: Mapping[str, Shape]) -> None:
@@ -127,7 +127,13 @@ class _CheckedLayers:
         self._n_products = 0
 
     def add(self, name: str, layer: Layer) -> None:
-        """Check one more layer; a ValueError or a NotImplementedError if it does not fit."""
+        """Check one more layer.
+
+        Raises
+        ------
+        NotImplementedError : this release has no such operation.
+        ValueError : the layer does not fit.
+        """
         if name in self.shapes:
             raise ValueError("another layer has this name")
         operation = OPERATIONS.get(layer["op"])
@@ -163,7 +169,12 @@ class _CheckedLayers:
     def _count_cost(
         self, layer: Layer, operation: Operation, inputs: list[Shape], weights: dict[str, Shape]
     ) -> None:
-        """Add the layer's cost; a ValueError if the sum is above MAX_NUMBERS or MAX_PRODUCTS."""
+        """Add the layer's cost to the sums over all layers.
+
+        Raises
+        ------
+        ValueError : a sum is above MAX_NUMBERS or MAX_PRODUCTS.
+        """
         output = self.shapes[layer["name"]]
         n_numbers, n_products = _cost(layer, operation, inputs, output, weights)
         self._n_numbers += n_numbers
@@ -182,7 +193,9 @@ class _CheckedLayers:
     def _is_flat_map(self, layer: Layer, operation: Operation, inputs: list[Shape]) -> bool:
         """Whether the layer's output is a flattened map.
 
-        A ValueError if an input of the layer is a flattened map, but the operation cannot read one.
+        Raises
+        ------
+        ValueError : an input of the layer is a flattened map, but the operation must not have one.
         """
         if layer["op"] == "flatten" and len(inputs[0]) == 3:
             channels = inputs[0][:1]

@@ -1,4 +1,4 @@
-"""The description of an operation that a layer may be: shape, steps, parameters and weights."""
+"""The description of an operation of layers: its shape, steps, parameters and weights."""
 
 from __future__ import annotations
 
@@ -36,23 +36,25 @@ def kernel_of(layer: Layer, source: Shape, output: Shape) -> Sequence[int]:
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation that a layer may be.
+    """The description of an operation, which a layer names as its `op`.
 
     Parameters
     ----------
-    name : the layer's `op`.
+    name : the `op` of layers with this operation.
     description : what the operation computes, in a sentence.
     shape : the rule of the output's shape.
     steps : the rule of the compiled steps.
     parameters : name of a parameter -> the rule of its values.
     roles : role of weights -> whether a layer must have weights in this role.
     n_inputs : 1 for one input; 2 for two or more inputs.
-    flat_maps : what the operation does with a flattened map. "read": it knows the order of the
-        map's numbers, as a dense layer does. "kept": it computes each number from the number at the
-        same index, so the order stays. "refused": it must not have such an input.
+    flat_maps : what the operation does with a flattened map. "read": it takes the map's numbers in
+        the order in which they are stored, as a dense layer does, and its output is no flattened
+        map. "kept": it computes each number from the number at the same index, so the order stays.
+        "refused": it must not have such an input.
     places : the rule that says where the places of the output lie.
     kernel : the rule that says how much of the input a place of the output depends on.
-    own_weights : whether each place has weights of its own. They take memory.
+    own_weights : whether each place of the output has weights of its own. If so, the weights of all
+        places count towards MAX_NUMBERS.
     """
 
     name: str

@@ -120,8 +120,8 @@ class Step:
     def reads(self) -> tuple[int, int]:
         """How many rows and columns of its inputs the step reads.
 
-        They are counted from the first row and column of the map. The last ones may lie in the
-        frame.
+        They are counted from the first row and column of the map. The last rows and columns may lie
+        in the frame.
         """
         return self._reads(0, self.rows), self._reads(1, self.columns)
 

@@ -90,7 +90,9 @@ class OnnxLayers:
     def layer_name(self, value: str) -> str:
         """The name of the layer that computes a value.
 
-        A NotImplementedError if the value does not depend on the volume.
+        Raises
+        ------
+        NotImplementedError : the value does not depend on the volume.
         """
         if value not in self.names:
             raise NotImplementedError(f"its input {value!r} is not computed from the volume")
@@ -110,7 +112,7 @@ class OnnxLayers:
         return layer_shapes(self.layers, self._shape, tensors, partial=True)[self.layer_name(value)]
 
     def alias(self, node: Node, value: str) -> None:
-        """Note that a node passes a value on. So the value's layer computes the node's output."""
+        """Add a node that passes a value on: the value's layer computes the node's output."""
         self.names[node.outputs[0]] = self.layer_name(value)
 
     def constant(self, node: Node, place: int) -> np.ndarray | None:

@@ -186,7 +186,10 @@ def _places_of(exported: Exported, name: str) -> Places:
 def source_of(path_or_bytes: Any) -> str | bytes:
     """A network as onnxruntime opens it: the path of its file, or its bytes.
 
-    A TypeError for anything else.
+    Raises
+    ------
+    ParameterTypeError : the argument is of another type.
+    FileNotFoundError : there is no such file.
     """
     if hasattr(path_or_bytes, "SerializeToString"):  # onnx.ModelProto, without importing onnx
         return bytes(path_or_bytes.SerializeToString())

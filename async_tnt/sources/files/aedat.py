@@ -245,7 +245,7 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
 
     Returns
     -------
-    A name in `SENSORS`, or "" if none is named; and the number of bytes.
+    A key of `SENSORS`, or "" if the header names no camera; and the number of bytes.
     """
     names: list[str] = []
     with path.open("rb") as file:
@@ -275,13 +275,14 @@ def _is_comment(line: bytes) -> bool:
 
 
 def _camera(path: Path, names: list[str]) -> str:
-    """The first of these names that is the name of a known camera; "" if there are no names.
+    """The key of `SENSORS` that the first of these names contains; "" if there are no names.
 
-    A name may be as long as `eu.seebetter.ini.chips.davis.DAVIS240C`.
+    A name may be as long as `eu.seebetter.ini.chips.davis.DAVIS240C`. Only the part after its last
+    dot is searched. Names that contain no key are skipped.
 
     Raises
     ------
-    ValueError : none of the names is known.
+    ValueError : there are names, but none of them contains a key.
     """
     cameras = []
     for name in names:

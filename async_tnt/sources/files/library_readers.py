@@ -312,7 +312,7 @@ def _check_filters(h5py: Any, data: Any) -> None:
 def _check_complete(data: Any) -> None:
     """Refuse a data set that was not written completely.
 
-    HDF5 would read zeros there, as many as the header claims.
+    HDF5 would read zeros instead of the missing data, up to the size that the header states.
     """
     if data.chunks is None:
         unit = "bytes"

@@ -222,7 +222,8 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 def is_text(line: bytes) -> bool:
     """Whether a line of a header is text. Binary data that follows a header is hardly ever text.
 
-    Programs write in the encoding of their system, so a few bytes may be anything.
+    Programs write in the encoding of their system. So up to one byte in eight may lie outside
+    ASCII, and its meaning does not matter. A line with more such bytes must be valid UTF-8.
     """
     if 8 * sum(byte > 0x7F for byte in line) <= len(line):
         line = line.translate(ONLY_ASCII)

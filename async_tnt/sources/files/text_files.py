@@ -58,8 +58,8 @@ ORDER_ROWS = 1_000
 """Number of rows, from the first on, by which the order of the columns is judged."""
 
 MAX_ROW_BYTES = 1 << 16
-"""Bytes of the longest row. The header and the sensor are looked for in as many bytes at the
-beginning of a file."""
+"""Bytes of the longest row. The header and the sensor are looked for in the first `MAX_ROW_BYTES`
+bytes of a file."""
 
 COMMENTS = ("#", "%")
 """First characters of lines that are comments."""

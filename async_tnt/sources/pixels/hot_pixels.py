@@ -29,9 +29,9 @@ pixels of its block. (With a lower count the end of a line would move inwards, a
 found pixel by pixel.)
 
 Five or more hot pixels in one 5x5 block explain one another, and not all of them are found, because
-a flickering lamp looks the same. Conversely, something small and bright that stays at one pixel
-looks like a hot pixel. So learn from recordings in which things move, or from a still scene, with
-some thousand events at least.
+a flickering lamp looks like hot pixels. Conversely, something small and bright that stays at one
+pixel looks like a hot pixel. So learn from recordings in which things move, or from a still scene,
+with some thousand events at least.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ FALSE_ALARMS = 0.01
 
 MAX_PIXELS = 1 << 24
 """Pixels of the largest sensor whose events are counted by pixel, which takes up to 40 bytes a
-pixel. The largest event cameras have one or two million; but a file of a few hundred bytes may
-state a thousand times as many."""
+pixel. The largest event cameras have one or two million pixels; but a file of a few hundred bytes
+may state a sensor with a thousand times more."""
 
 
 def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:

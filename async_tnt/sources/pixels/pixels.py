@@ -107,9 +107,9 @@ class Pixels:
         The dict is empty if all events count. The results of an evaluation contain it, so that
         results of different pixels are not mixed. The record of a trained model contains it, too.
 
-        With a mask, `sensor` is left out, as it could only repeat the mask's size. Without a mask,
-        `sensor` decides which recordings are of this camera. The others have errors instead of
-        results.
+        `sensor` is included only without a mask, because a recording of another camera than
+        `sensor` has an error instead of a result. With a mask, `sensor` could only repeat the
+        mask's size.
         """
         options: dict[str, Any] = {}
         if self.roi is not None:

@@ -53,7 +53,8 @@ class PacketQueue:
         `put` never waits; the oldest packets are discarded and their events counted, so that the
         reader skips ahead.
     max_delay_us : with `latest`: the longest that a packet may wait, in microseconds. Packets that
-        have waited longer are discarded, except the newest one, also while nobody reads.
+        have waited longer are discarded when the next packet is put in or read. The newest packet
+        is kept, however long it has waited.
     copy : whether `put` copies packets. Drivers often reuse the memory of a packet for the next
         packet. False is for sources that put each packet in new memory.
 
@@ -158,7 +159,9 @@ class PacketQueue:
                 return False
             while self.latest and len(self._waiting) > self.max_packets:
                 self._skip_oldest()
-            self._skip_outdated()  # here, too, so that memory stays bounded while nobody reads
+            # `_hand_out` discards these, too. It is done here, so that memory stays bounded while
+            # nobody reads.
+            self._skip_outdated()
             self._arrival.notify()
             self._wake()
         return True
