@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.kernels.network.program import MIX
+from async_tnt.kernels.network.tiles import REGISTERS
 from async_tnt.kernels.target import LANES
 from async_tnt.networks.layers.steps import Step
 
@@ -70,7 +71,7 @@ def _rows(w: np.ndarray, step: Step) -> np.ndarray:
 
 
 def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
-    """Filters (F, C) or (F, C, kernel_y, kernel_x) in blocks of one or two registers.
+    """Filters (F, C) or (F, C, kernel_y, kernel_x) in blocks of up to REGISTERS registers.
 
     Parameters
     ----------
@@ -80,8 +81,8 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
     # (K, F): the K weights of a filter, tap after tap, and channel after channel in each tap
     products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
     parts = []
-    for f in range(0, len(w), 2 * LANES):
-        n = min(len(w) - f, 2 * LANES)
+    for f in range(0, len(w), REGISTERS * LANES):
+        n = min(len(w) - f, REGISTERS * LANES)
         of_step = slice(first + f, first + f + n)
         block = np.zeros((len(products) + 2, round_up(n, LANES)), np.float32)
         block[:-2, :n] = products[:, f : f + n]
