@@ -11,7 +11,8 @@ except the order of its sums, which is part of what the product promises:
                     rows' sums
     dense 2         bias, then unit by unit
 
-Each term is added with one rounding (fma).
+Each term is added with one rounding (fma). At last 0 is added, which makes a -0 of a convolution or
+of a part of a dense layer 0.
 
 The windows and triggers (`Oracle`) are integers, floats and lists, one event at a time, written
 from the docstrings. Time passes to an event's time first, moment by moment, and windows close and
@@ -70,7 +71,7 @@ def convolve(x: np.ndarray, weights: np.ndarray, bias: np.ndarray) -> np.ndarray
     total = np.broadcast_to(bias, (height, width, len(bias)))
     for i, j, c in np.ndindex(3, 3, n_channels):
         total = fma(weights[:, c, i, j], framed[i : i + height, j : j + width, c, None], total)
-    return total
+    return total + np.float32(0)
 
 
 def dense(x: np.ndarray, weights: np.ndarray, bias: np.ndarray) -> np.ndarray:
@@ -81,10 +82,11 @@ def dense(x: np.ndarray, weights: np.ndarray, bias: np.ndarray) -> np.ndarray:
         total = bias
         for f in range(n_filters):
             total = fma(x[0, 0, f], weights[:, f, 0, 0], total)
-        return total
+        return total + np.float32(0)
     partial = np.zeros((rows, columns, len(bias)), np.float32)
     for y, x_, f in np.ndindex(rows, columns, n_filters):
         partial[y, x_] = fma(x[y, x_, f], weights[:, f, y, x_], partial[y, x_])
+    partial = partial + np.float32(0)
     sums = partial[0] if rows == 1 else partial[:, 0]
     if rows > 1:
         for column in range(1, columns):

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from async_tnt.kernels.arithmetic import Arithmetic
@@ -80,11 +81,11 @@ class Simd:
         instruction = self.builder.store(value, pointer)
         instruction.align = _alignment(value.type)
 
-    def spread(self, number: ir.Value) -> ir.Value:
+    def spread(self, number: ir.Value, lanes: int = LANES) -> ir.Value:
         """One number in every lane."""
-        undefined = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
+        undefined = ir.Constant(ir.VectorType(number.type, lanes), ir.Undefined)
         first = self.builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), lanes), None)
         return self.builder.shuffle_vector(first, undefined, zeros)
 
     def fma(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
@@ -96,24 +97,24 @@ class Simd:
 
         Parameters
         ----------
-        n : the number of iterations, at least 1.
-        sums : list of registers, the values before the first iteration.
+        n : the number of iterations, which may be 0.
+        sums : list of values, the values before the first iteration.
         body : builds the instructions of an iteration. It takes k and the values before the
             iteration, and returns the values after it, in a list of the same length.
 
         Returns
         -------
-        list of registers, the values after the last iteration.
+        list of values, the values after the last iteration.
         """
         builder = self.builder
         before = builder.block
         inside = builder.append_basic_block("sum")
         after = builder.append_basic_block("summed")
-        builder.branch(inside)
+        builder.cbranch(builder.icmp_signed("<", whole(0), n), inside, after)
 
         builder.position_at_end(inside)
         counter = builder.phi(INDEX)
-        carried = [builder.phi(VECTOR) for _ in sums]
+        carried = [builder.phi(value.type) for value in sums]
         next_counter = builder.add(counter, whole(1))
         new = body(counter, carried)
         end = builder.block  # another block than `inside` if the body holds a loop
@@ -122,15 +123,76 @@ class Simd:
         for phi, start, value in zip(carried, sums, new, strict=True):
             phi.add_incoming(start, before)
             phi.add_incoming(value, end)
-        builder.cbranch(builder.icmp_signed("<", next_counter, n), inside, after)
+        branch = builder.cbranch(builder.icmp_signed("<", next_counter, n), inside, after)
+        branch.set_metadata("llvm.loop", _never_unrolled(builder.module))
 
         builder.position_at_end(after)
-        return new
+        last = [builder.phi(value.type) for value in sums]
+        for phi, first, value in zip(last, sums, new, strict=True):
+            phi.add_incoming(first, before)
+            phi.add_incoming(value, end)
+        return last
+
+    def pack(
+        self,
+        source: ir.Value,
+        first: ir.Value,
+        chosen: ir.Value,
+        target: ir.Value,
+        end: ir.Value,
+    ) -> ir.Value:
+        """Append the chosen ones of eight whole numbers to those that lie before `end`.
+
+        What lies behind the new end, up to eight numbers from `end` on, is overwritten, too.
+
+        Parameters
+        ----------
+        source, first : where the eight int64 lie.
+        chosen : a bit for each of them.
+        target, end : where the numbers before them end.
+
+        Returns
+        -------
+        The new end.
+        """
+        builder = self.builder
+        bits = builder.bitcast(chosen, ir.IntType(8))
+        if LANES == 16:
+            kind = ir.VectorType(INDEX, 8)
+            values = self.load(source, first, kind)
+            function = ir.FunctionType(kind, [kind, kind, chosen.type])
+            name = "llvm.x86.avx512.mask.compress.v8i64"
+            compress = cgutils.get_or_insert_function(builder.module, function, name)
+            self.store(builder.call(compress, [values, values, chosen]), target, end)
+            return self.add(end, builder.zext(builder.ctpop(bits), INDEX))
+
+        # Without an instruction for it, each number is written, and the next one perhaps over it.
+        bits = builder.zext(bits, INDEX)
+        for k in range(8):
+            value = builder.load(self.at(source, self.add(first, k)))
+            builder.store(value, self.at(target, end))
+            end = self.add(end, builder.and_(builder.lshr(bits, whole(k)), whole(1)))
+        return end
+
+
+def _never_unrolled(module: ir.Module) -> Any:
+    """A note for LLVM at a loop's branch: it shall not repeat the loop's body.
+
+    A repeated body would not be faster here, and the turns that are left over would be a second
+    loop: both ends of a loop of unforeseen length then cost a wrong guess of the processor.
+    """
+    disable = module.add_metadata([ir.MetaDataString(module, "llvm.loop.unroll.disable")])
+    # LLVM knows a loop's note by its first part, which is the note itself. The number keeps the
+    # notes of two loops apart.
+    number = ir.Constant(ir.IntType(32), len(module.metadata))
+    note = module.add_metadata([disable, number])
+    note.operands = (note, disable)
+    return note
 
 
 def _alignment(kind: ir.VectorType) -> int:
     """The alignment of a vector, in bytes: that of one of its numbers."""
-    return 8 if kind.element == ir.DoubleType() else 4
+    return 8 if kind.element in (ir.DoubleType(), INDEX) else 4
 
 
 def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> Callable[..., Any]:

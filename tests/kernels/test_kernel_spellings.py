@@ -14,7 +14,7 @@ from numba import njit
 import async_tnt.kernels.decisions.classify  # noqa: F401 (which registers the kernels below)
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.functions import FUNCTIONS, apply_function
-from async_tnt.kernels.network.tiles import SIZES
+from async_tnt.kernels.network.tiles import MOST_PLACES, REGISTERS, SIZES
 from async_tnt.kernels.simd import SPELLINGS
 from async_tnt.kernels.target import LANES
 
@@ -34,7 +34,7 @@ def numbers(n: int, seed: int, dtype=np.float32) -> np.ndarray:
 MAPS = numbers(9000, 1)
 WEIGHTS = numbers(60_000, 2)
 # where the step's record begins in a program
-AT = 3
+AT = P.FIRST_STEP
 # where places are listed
 LISTED = 5
 # where in MAPS place (0, 0) is written
@@ -54,7 +54,9 @@ PLACES = [
     (0, 9),
     (2, 5),
 ]
-LISTS = [[row << 16 | column for row, column in PLACES[:n]] for n in SIZES]
+LISTS = {n: [row << 16 | column for row, column in PLACES[:n]] for n in range(1, 13)}
+# every number of places that a tile may have, and registers of filters
+TILES = [(n_places, registers) for registers, sizes in SIZES.items() for n_places in sizes]
 # runs or taps, the length of a run, channels
 KERNELS = [
     ([40], 1, 1),
@@ -65,9 +67,15 @@ KERNELS = [
 
 
 def program_of(kind: int, runs: list[int], run_length: int, channels: int) -> np.ndarray:
-    """A program with the record of one step, and its runs behind it."""
-    program = np.zeros(AT + P.STEP_SIZE + len(runs), np.int64)
-    program[AT + P.STEP_SIZE :] = runs
+    """A program with the record of one step, its runs or inputs behind it, and room for a list."""
+    table = runs
+    if kind == P.MIX:
+        distances = [run + k for run in runs for k in range(run_length)]
+        table = [distance | i << 32 for i, distance in enumerate(distances)]
+    end = AT + P.STEP_SIZE + len(table)
+    program = np.zeros(end + len(table) + 8, np.int64)
+    program[P.LISTED] = end
+    program[AT + P.STEP_SIZE : end] = table
     record = program[AT : AT + P.STEP_SIZE]
     record[[P.KIND, P.RUNS, P.N_RUNS, P.RUN_LENGTH]] = kind, AT + P.STEP_SIZE, len(runs), run_length
     record[[P.IN, P.IN_DY, P.IN_DX, P.OUT, P.OUT_DY, P.OUT_DX]] = 11, 160, 16, OUT, 400, channels
@@ -113,18 +121,100 @@ def assert_same(name: str, program, weights, list_of_places, more, channels: int
         assert set(written.tolist()) <= may_write
 
 
-@pytest.mark.parametrize("list_of_places", LISTS, ids=len)
-@pytest.mark.parametrize("runs, run_length, channels", KERNELS)
+@pytest.mark.parametrize("n_places, registers", TILES)
+@pytest.mark.parametrize("runs, run_length", [kernel[:2] for kernel in KERNELS])
 @pytest.mark.parametrize("limits", [(-np.inf, np.inf), (0.0, np.inf), (-0.5, 6.0)])
-def test_mix_tiles(runs, run_length, channels, list_of_places, limits):
-    size = LANES if channels <= LANES else 2 * LANES
-    weights = weights_of(len(runs) * run_length, size, *limits)
-    program = program_of(P.MIX, runs, run_length, channels)
+def test_mix_tiles(runs, run_length, n_places, registers, limits):
+    n_products = len(runs) * run_length
+    for channels in ((registers - 1) * LANES + 1, registers * LANES - 1, registers * LANES):
+        weights = weights_of(n_products, registers * LANES, *limits)
+        program = program_of(P.MIX, runs, run_length, channels)
 
-    def more(maps, weights):
-        return len(list_of_places), maps, 11, OUT, weights, 20, channels
+        def more(maps, weights, channels=channels):
+            inputs = (11, AT + P.STEP_SIZE, n_products)
+            return n_places, maps, *inputs, OUT, weights, 20, channels
 
-    assert_same("mix_tile", program, weights, list_of_places, more, channels)
+        assert_same("mix_tile", program, weights, LISTS[n_places], more, channels)
+
+
+def listed(maps, runs: list[int], run_length: int, n_places: int) -> np.ndarray:
+    """The inputs that both spellings list, as numbers of the table."""
+    places = np.array([1 << 20] * LISTED + LISTS[n_places], np.uint32)
+    found = []
+    for run in both("list_inputs"):
+        program = program_of(P.MIX, runs, run_length, 1)
+        before = program.copy()
+        n = run(program, AT, places, LISTED, n_places, maps, 11)
+        first = program[P.LISTED]
+        assert (program[:first] == before[:first]).all()
+        found.append(program[first : first + n])
+    assert (found[0] == found[1]).all()
+    return found[0]
+
+
+SHARES = (0.0, 0.3, 0.9, 0.99, 1.0)
+"""Shares of zeros in a map."""
+
+
+@pytest.mark.parametrize("n_places", sorted({n for n, _ in TILES}))
+@pytest.mark.parametrize("runs, run_length", [kernel[:2] for kernel in KERNELS] + [([3, 99], 41)])
+def test_inputs_that_are_0_at_every_place_are_not_listed(runs, run_length, n_places):
+    distances = [run + k for run in runs for k in range(run_length)]
+    starts = [11 + 160 * row + 16 * column for row, column in PLACES[:n_places]]
+    rng = np.random.default_rng(3)
+    for share in SHARES:
+        maps = MAPS.copy()
+        maps[rng.random(maps.size) < share] = 0.0
+        expected = [
+            distance | i << 32
+            for i, distance in enumerate(distances)
+            if any(maps[start + distance] != 0 for start in starts)
+        ]
+        assert listed(maps, runs, run_length, n_places).tolist() == expected
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 1e-45, -1e-45, np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("n_places", sorted({n for n, _ in TILES}))
+def test_only_0_and_negative_0_are_left_out(n_places, value):
+    """A number that is not 0 at one place alone, whichever that is, is listed."""
+    for row, column in PLACES[:n_places]:
+        maps = np.zeros(9000, np.float32)
+        maps[11 + 160 * row + 16 * column + 43] = value
+        found = listed(maps, [40], 6, n_places)
+        if value == 0:
+            assert found.size == 0
+        else:
+            assert 43 | 3 << 32 in found
+
+
+@pytest.mark.parametrize("n_places, registers", TILES)
+@pytest.mark.parametrize("bias", [0.0, -0.0, 0.5])
+def test_a_sum_without_its_zeros_is_the_sum(n_places, registers, bias):
+    """The maps hold 0, -0, denormals and others. No inputs at all are the sum of zeros."""
+    runs, run_length = [40, 90, 140], 6
+    n_products, size = len(runs) * run_length, registers * LANES
+    places = np.array([1 << 20] * LISTED + LISTS[n_places], np.uint32)
+    weights = weights_of(n_products, size, -np.inf, np.inf)
+    weights[20 + n_products * size :][:size] = bias
+    weights[20 + (n_products + 1) * size :][:size] = 1.0  # slopes, none of which makes a -0
+    rng = np.random.default_rng(4)
+    for share in SHARES:
+        kinds = rng.choice([0.0, -0.0, 1e-45, -1e-45], MAPS.size).astype(np.float32)
+        some = np.where(rng.random(MAPS.size) < share, kinds, MAPS)
+        few = np.where(rng.random(MAPS.size) < share, np.copysign(np.float32(0), kinds), some)
+        for values in (some, few):
+            found = set()
+            for mix, list_inputs in zip(both("mix_tile"), both("list_inputs"), strict=True):
+                program = program_of(P.MIX, runs, run_length, size)
+                n_listed = list_inputs(program, AT, places, LISTED, n_places, values, 11)
+                for inputs in ((AT + P.STEP_SIZE, n_products), (program[P.LISTED], n_listed)):
+                    maps = values.copy()
+                    tile = (AT, places, LISTED, n_places, maps, 11, *inputs, OUT)
+                    mix(program, *tile, weights, 20, size)
+                    found.add(maps.tobytes())
+                    written = maps[OUT + 7 * size :][:size]  # the first place
+                    assert not (np.signbit(written) & (written == 0)).any()
+            assert len(found) == 1
 
 
 def of_channel_tile(maps, weights):
@@ -138,7 +228,7 @@ def test_channel_tiles(kind, runs, run_length, channels):
     size = -(-channels // LANES) * LANES
     weights = weights_of(len(runs) if kind == P.SUM else 0, size, -0.4, 0.9)
     program = program_of(kind, runs, run_length, channels)
-    for place in LISTS[-1]:
+    for place in LISTS[12]:
         assert_same("channel_tile", program, weights, [place], of_channel_tile, channels)
 
 
@@ -207,9 +297,10 @@ def test_nan_stays_nan():
 
 
 def test_every_vectorized_kernel_is_tested_here():
-    tested = {"mix_tile", "channel_tile", "round_eight", "add_f64x2"}
+    tested = {"list_inputs", "mix_tile", "channel_tile", "round_eight", "add_f64x2"}
     assert set(SPELLINGS) == tested
     assert LANES in (8, 16)
+    assert len(MOST_PLACES) == REGISTERS == max(SIZES)
 
 
 def test_add_f64x2():

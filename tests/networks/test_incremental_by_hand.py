@@ -19,6 +19,10 @@ from torch import nn
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, kernels
 from async_tnt.kernels.decisions import classify
 from async_tnt.kernels.entry_points import ENTRY_POINTS
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.network.forward import LONGEST_PAUSE
+from async_tnt.networks.layers.graph import CLASSIFIER
+from async_tnt.networks.layers.program import make_program
 
 
 def test_no_kernel_may_reorder_arithmetic():
@@ -241,3 +245,60 @@ def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, s
         assert errors == loud and processor.counts.received == 1500
         found.append((processor.counts, decisions[-1].logits.tobytes(), decisions[-1].events))
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("weight", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("name", ["conv1.weight", "conv2.weight", "fc1.weight", "fc2.weight"])
+def test_a_weight_that_is_not_finite_makes_nan_of_0(name, weight):
+    """A model refuses such a weight, but a batch norm that becomes part of it may overflow."""
+    model = by_hand()
+    volume = np.zeros(model.config.shape, np.float32)
+    biased = {layer: np.zeros_like(w) for layer, w in model.weights.items()}
+    for is_finite in (True, False):
+        weights = {layer: w.copy() for layer, w in biased.items()}
+        if not is_finite:
+            weights[name].flat[0] = weight
+        program = make_program(model.network[CLASSIFIER], model.config.shape, weights)
+        assert np.isfinite(program.run(volume)[0]) == is_finite
+
+
+@pytest.mark.parametrize("bias", [-0.0, 0.0])
+@pytest.mark.parametrize("scale", [1.0, 1e-38, 1e-45])
+def test_no_zero_of_a_sum_is_negative(bias, scale):
+    """Products of 0 and of denormals with negative weights are -0; so are the biases."""
+    model = random_model(CONFIG, classes=2, widths=(3, 4, 5), seed=3)
+    weights = {
+        name: np.full_like(w, bias) if name.endswith("bias") else -np.abs(w) * np.float32(scale)
+        for name, w in model.weights.items()
+    }
+    model = thesis_model(CONFIG, weights, ("a", "b"))
+    classifier = CompiledClassifier(model)
+    volume = TNTVolume(CONFIG)
+    volume.open(0)
+    for t, (x, y, p) in enumerate([(0, 0, 0), (7, 7, 1), (3, 2, 0), (3, 2, 1), (6, 1, 0)]):
+        logits = classifier.refresh(volume)
+        assert logits.tobytes() == CompiledClassifier(model)(volume.array).tobytes()
+        assert logits.tobytes() == CompiledClassifier(model)(-0.0 + volume.array).tobytes()
+        assert logits.tobytes() == forward(model.weights, volume.array).tobytes()
+        assert not np.signbit(logits[logits == 0]).any()
+        volume.update_one(t, x, y, p)
+
+
+def test_a_map_may_be_sparse_here_and_dense_there():
+    """Looking for zeros pauses where there are few, and whether it does changes no bit."""
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40))
+    net = nn.Sequential(nn.Conv2d(1, 9, 3, padding=1), nn.ReLU(), nn.Conv2d(9, 70, 3, padding=1))
+    net.append(nn.Flatten()).append(nn.Linear(70 * 40 * 40, 2))
+    model = Model.from_torch(net, config, ["a", "b"])
+    rng = np.random.default_rng(5)
+    array = rng.normal(size=config.shape).astype(np.float32)
+    array[:, :, :25] = 0.0
+    array[:, 20:] *= -1.0
+    used = CompiledClassifier(model)
+    pauses = set()
+    for shown in (array, rng.normal(size=config.shape).astype(np.float32), 0 * array, array):
+        assert used(shown).tobytes() == CompiledClassifier(model)(shown).tobytes()
+        at = np.arange(len(used.steps)) * P.STEP_SIZE + P.FIRST_STEP
+        pauses |= set(used.network.program[at + P.PAUSE].tolist())
+    assert 0 in pauses
+    assert max(pauses) == LONGEST_PAUSE

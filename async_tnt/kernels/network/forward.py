@@ -26,9 +26,18 @@ from async_tnt.kernels.network.changes import (
     seen_from,
     words_of,
 )
-from async_tnt.kernels.network.tiles import PLACES, channel_tile, mix_tile
+from async_tnt.kernels.network.tiles import (
+    MOST_PLACES,
+    REGISTERS,
+    channel_tile,
+    list_inputs,
+    mix_tile,
+)
 from async_tnt.kernels.simd import trailing_zeros
 from async_tnt.kernels.target import LANES
+
+LONGEST_PAUSE = 31
+"""The most tiles in a row that are computed from all inputs, if looking for zeros did not pay."""
 
 
 @entry_point(int64[::1], int64, int64, *P.NETWORK[1:], uint64[::1])
@@ -38,6 +47,7 @@ def mix(program, at, n, weights, maps, places, bits):
     n_groups = program[at + P.GROUPS]
     channels = program[at + P.OUT_CHANNELS]
     columns = program[at + P.COLUMNS]
+    most_places = MOST_PLACES[min((channels + LANES - 1) // LANES, REGISTERS) - 1]
     n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
     # The last tile may have one place too many: it computes the last one twice.
     places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]
@@ -47,17 +57,26 @@ def mix(program, at, n, weights, maps, places, bits):
         n_places = 1
         block = first_group
         if program[at + P.PLACE_WEIGHTS] == 0:
-            n_places = _tile_size(n - k)
+            n_places = _tile_size(n - k, most_places)
         else:
             place = np.int64(places[listed])
             block += ((place >> 16) * columns + (place & 0xFFFF)) * program[at + P.PLACE_WEIGHTS]
 
+        looks_for_zeros = program[at + P.TILES_UNLISTED] == 0
+        if not looks_for_zeros:
+            program[at + P.TILES_UNLISTED] -= 1
         changed = np.int64(0)
         for group in range(n_groups):
             inputs = program[at + P.IN] + group * program[at + P.GROUP_CHANNELS]
-            for f in range(0, channels, 2 * LANES):
+            first_input = program[at + P.RUNS]
+            n_inputs = n_products
+            if looks_for_zeros:
+                first_input = program[P.LISTED]
+                n_inputs = list_inputs(program, at, places, listed, n_places, maps, inputs)
+                _note_density(program, at, n_inputs, n_products)
+            for f in range(0, channels, REGISTERS * LANES):
                 output = program[at + P.OUT] + group * channels + f
-                n_filters = min(channels - f, 2 * LANES)
+                n_filters = min(channels - f, REGISTERS * LANES)
                 changed |= mix_tile(
                     program,
                     at,
@@ -66,13 +85,15 @@ def mix(program, at, n, weights, maps, places, bits):
                     n_places,
                     maps,
                     inputs,
+                    first_input,
+                    n_inputs,
                     output,
                     weights,
                     block,
                     n_filters,
                 )
                 # The block holds the products, a bias and a slope of each filter, and the limits.
-                padded = 2 * LANES if n_filters > LANES else LANES
+                padded = (n_filters + LANES - 1) // LANES * LANES
                 block += (n_products + 2) * padded + LANES
 
         _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
@@ -110,15 +131,25 @@ def forward(program, weights, maps, places):
 
 
 @inlined
-def _tile_size(n):
+def _tile_size(n, most):
     """How many of n places the next tile computes: one of `SIZES`, at most one more than n."""
-    if PLACES == 12 and n >= 11:
-        return 12
-    if PLACES == 12 and n >= 7:
-        return 8
-    if n >= 5:
-        return 6
+    if n >= most - 1:
+        return most
     return 4 if n >= 3 else n
+
+
+@inlined
+def _note_density(program, at, n_inputs, n_products):
+    """Decide how many tiles come before the next one whose zeros are looked for.
+
+    Looking takes as long as about an eighth of the sum. Dense tiles often lie side by side, so each
+    dense tile that was looked at doubles the pause. The first other one ends it.
+    """
+    pause = np.int64(0)
+    if 8 * n_inputs > 7 * n_products:
+        pause = min(2 * program[at + P.PAUSE] + 1, LONGEST_PAUSE)
+    program[at + P.PAUSE] = pause
+    program[at + P.TILES_UNLISTED] = pause
 
 
 @inlined

@@ -12,7 +12,7 @@ A map is stored as (row, column, channel), within a frame that stands for the pa
 convolutions that read it. A place is one number, row << 16 | column. A step computes one map. At
 each place it computes one of these:
 
-    MIX       out[f] = bias[f] + sum over runs r and numbers k of w[r, k, f] in[runs[r] + k]
+    MIX       out[f] = bias[f] + sum over inputs i of w[i, f] in[distances[i]]
     SUM       out[c] = bias[c] + sum over taps r of w[r, c] in[taps[r] + c]
     MAXIMUM   out[c] = max over taps r of in[taps[r] + c]
     FUNCTION  out[c] = f(in[taps[0] + c]), with f of `functions`
@@ -20,16 +20,18 @@ each place it computes one of these:
 
 and then the activation, clip(out < 0 ? slope out : out, low, high); a SPREAD has none.
 
-A MIX is a convolution. Its runs are the rows of its kernel, or its taps, and its groups are
-computed one after another. The other steps treat each channel by itself. A SUM is average pooling,
-addition, normalization, a depthwise convolution, or the second half of a dense layer. The first
-half of a dense layer is a MIX with other weights at each place: a sum over many places is kept in
-parts, by place and by row, so that an update costs little and gives the bits of a sum from scratch.
-A SPREAD makes a block of places of each place of its source.
+A MIX is a convolution, and its groups are computed one after another. Its inputs lie side by side
+in runs, which are the rows of its kernel, or its taps. An input i is one number of the program,
+distances[i] | i << 32. Inputs that are 0 may be left out, and the sum is never -0, see `tiles`. The
+other steps treat each channel by itself. A SUM is average pooling, addition, normalization, a
+depthwise convolution, or the second half of a dense layer. The first half of a dense layer is a MIX
+with other weights at each place: a sum over many places is kept in parts, by place and by row, so
+that an update costs little and gives the bits of a sum from scratch. A SPREAD makes a block of
+places of each place of its source.
 
 The weights of a MIX are blocks of filters, group after group; and so for each place, if places have
-weights of their own. A block holds at most two registers of filters, padded with zeros to n, a
-multiple of LANES:
+weights of their own. A block holds at most REGISTERS registers of filters, padded with zeros to n,
+a multiple of LANES:
 
     (K, n) weights    (n,) biases    (n,) slopes    low, high    zeros up to a register
 
@@ -70,8 +72,9 @@ EMPTY = 15  # numbers from a step's map to its map of an empty window, see `empt
 EMPTY_IS_KNOWN = 16  # 1: the maps of an empty window have been computed
 INPUT_CHANGED = 17  # the record of the input's changes, see `changes`
 INPUT_TOUCHED = 21  # the record of its changes since the window was empty
+LISTED = 25  # where in the program the inputs of a tile are listed that are not all 0
 
-FIRST_STEP = 25  # where the record of the first step begins
+FIRST_STEP = 26  # where the record of the first step begins
 # a step's record
 KIND = 0  # MIX, SUM, MAXIMUM, FUNCTION or SPREAD
 N_SOURCES = 1  # how many maps it reads
@@ -96,7 +99,7 @@ OUT = 25
 OUT_DY = 26
 OUT_DX = 27
 OUT_CHANNELS = 28  # output channels of each group
-RUNS = 29  # where in the program the distances of its runs or taps lie
+RUNS = 29  # where in the program the distances of its taps lie; of a MIX: its inputs, run by run
 N_RUNS = 30
 RUN_LENGTH = 31  # MIX only: numbers of a run
 GROUPS = 32  # MIX only; others have one
@@ -105,7 +108,12 @@ WEIGHTS = 34  # where in `weights` its weights begin
 PLACE_WEIGHTS = 35  # stride of the places' weights, in numbers; 0: all places share them
 APPLIED = 36  # FUNCTION only: the function's number
 BLOCK = 37  # SPREAD only: the side of the block that one place becomes
-STEP_SIZE = 38  # numbers in a record
+TILES_UNLISTED = 38  # MIX only: how many more tiles are computed from all inputs, see `tiles`
+PAUSE = 39  # MIX only: how many tiles that was when it was last decided
+STEP_SIZE = 40  # numbers in a record
+
+ALWAYS = 1 << 62
+"""TILES_UNLISTED of a step that leaves no input out."""
 
 # KIND
 MIX = 0

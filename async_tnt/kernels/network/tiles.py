@@ -1,10 +1,16 @@
 """The innermost steps of every network: a map at a handful of places, with all sums in registers.
 
-A register holds LANES channels of one place. A MIX keeps the sums of up to PLACES places and two
-registers of filters: each weight is read once for all places, each input once for all filters.
-Every sum is taken in one order, each product added with one rounding, so how places are put
-together changes no bit. A place's last register may hold more channels than the map has: what lies
-behind them in memory is written as it was.
+A register holds LANES channels of one place. A MIX keeps the sums of some places and up to
+REGISTERS registers of filters: each weight is read once for all places, each input once for all
+filters. Every sum is taken in one order, each product added with one rounding, so how places are
+put together changes no bit. A place's last register may hold more channels than the map has: what
+lies behind them in memory is written as it was.
+
+A MIX leaves inputs out that are 0 at every place of a tile: behind a ReLU most of them are. Their
+products are 0 or -0, as weights are finite, and could change a sum from -0 to 0 only. So 0 is added
+last, which does the same to every -0. Where few inputs are 0, looking for them costs more than it
+saves, and the next tiles are computed from all inputs. A step with a weight that is not finite
+always is: 0 times that weight is nan.
 
 The tiles take more than eight arguments: those of a vectorized kernel are plain numbers and arrays.
 """
@@ -22,11 +28,17 @@ from async_tnt.kernels.network.functions import applied, apply_function, choose
 from async_tnt.kernels.simd import INDEX, VECTOR, ZERO, fma, vectorized, whole
 from async_tnt.kernels.target import LANES
 
-SIZES = (1, 2, 4, 6, 8, 12) if LANES == 16 else (1, 2, 4, 6)
-"""How many places a tile of a MIX may have: as many as fit in the registers, which are 32 of 16
-lanes or 16 of 8. Each number has code of its own, which takes time to compile."""
-PLACES = SIZES[-1]
-"""The most places of a tile."""
+MOST_PLACES = (8, 4, 4, 4) if LANES == 16 else (6, 6)
+"""The most places of a tile of a MIX with one register of filters, with two, and so on. The sums
+fit in the registers, which are 32 of 16 lanes or 16 of 8; the fewer places, the more inputs are 0
+at all of them."""
+REGISTERS = len(MOST_PLACES)
+"""The most registers of filters of a tile."""
+SIZES = {n + 1: sorted({1, 2, 4, most}) for n, most in enumerate(MOST_PLACES)}
+"""Registers of filters -> how many places a tile may have. Each number has code of its own, which
+takes time to compile."""
+DISTANCE = 0xFFFF_FFFF
+"""The bits of an input that hold its distance."""
 AT_ONCE = 4
 """Registers of channels of a SUM or MAXIMUM that are computed together: one alone would wait four
 cycles for each tap."""
@@ -37,10 +49,55 @@ CHANNEL_KINDS = (P.SUM, P.MAXIMUM, P.FUNCTION)
 
 
 @inlined
+def list_inputs_plain(program, at, places, listed, n_places, maps, inputs):
+    """List the inputs of a MIX that are not 0 at every one of some places of its list.
+
+    They are listed from LISTED on, in `program`, which is updated in place. For parameters see
+    `mix_tile_plain`.
+
+    Returns
+    -------
+    int : how many inputs are listed.
+    """
+    first = program[at + P.RUNS]
+    end = program[P.LISTED]
+    for i in range(program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]):
+        is_zero = True
+        for p in range(n_places):
+            y = np.int64(places[listed + p]) >> 16
+            x = np.int64(places[listed + p]) & 0xFFFF
+            start = inputs + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+            is_zero &= maps[start + (program[first + i] & DISTANCE)] == 0  # nan is not
+        if not is_zero:
+            program[end] = program[first + i]
+            end += 1
+    return end - program[P.LISTED]
+
+
+@vectorized(list_inputs_plain, returns=types.int64)
+def list_inputs(simd, program, at, places, listed, n_places, maps, inputs):
+    tile = _Tile(simd, program, at, places, listed, maps, inputs, None)
+    sizes = sorted({n for sizes in SIZES.values() for n in sizes})
+    return choose(simd.builder, n_places, {n: partial(_listed_inputs, tile, n) for n in sizes})
+
+
+@inlined
 def mix_tile_plain(
-    program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
+    program,
+    at,
+    places,
+    listed,
+    n_places,
+    maps,
+    inputs,
+    first_input,
+    n_inputs,
+    output,
+    weights,
+    block,
+    n_filters,
 ):
-    """Compute one block of a step's filters, of one or two registers, at some places of its list.
+    """Compute one block of a step's filters at some places of its list.
 
     Parameters
     ----------
@@ -48,6 +105,8 @@ def mix_tile_plain(
     listed, n_places : int. Where in `places` they are listed, and how many, one of SIZES. A place
         may be listed twice.
     inputs, output : int. Where in `maps` place (0, 0) reads and writes, for this group and block.
+    first_input, n_inputs : int. Where in `program` the inputs lie that are taken, and how many. All
+        others are 0 at these places.
     block : int. Where in `weights` the block begins.
     n_filters : int. How many of the block's filters exist and are written, at least 1. Up to LANES
         lie in one register.
@@ -57,10 +116,8 @@ def mix_tile_plain(
     int : bit p is set if the bits of place p differ from what was there.
     """
     words = maps.view(np.uint32)
-    size = 2 * LANES if n_filters > LANES else LANES
-    n_runs = program[at + P.N_RUNS]
-    run_length = program[at + P.RUN_LENGTH]
-    bias = block + n_runs * run_length * size
+    size = (n_filters + LANES - 1) // LANES * LANES
+    bias = block + program[at + P.N_RUNS] * program[at + P.RUN_LENGTH] * size
     changed = np.int64(0)
     for p in range(n_places):
         y = np.int64(places[listed + p]) >> 16
@@ -69,10 +126,10 @@ def mix_tile_plain(
         out = output + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
         for f in range(n_filters):
             total = weights[bias + f]
-            for r in range(n_runs):
-                for k in range(run_length):
-                    value = maps[start + program[program[at + P.RUNS] + r] + k]
-                    total = fma(weights[block + (r * run_length + k) * size + f], value, total)
+            for i in range(first_input, first_input + n_inputs):
+                value = maps[start + (program[i] & DISTANCE)]
+                total = fma(weights[block + (program[i] >> 32) * size + f], value, total)
+            total += np.float32(0)  # 0 where it is -0
             before = words[out + f]
             maps[out + f] = activated(total, weights, bias + size, f, size)
             changed |= np.int64(words[out + f] != before) << p
@@ -97,10 +154,24 @@ def activated(value, weights, slopes, f, size):
 
 @vectorized(mix_tile_plain, returns=types.int64)
 def mix_tile(
-    simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
+    simd,
+    program,
+    at,
+    places,
+    listed,
+    n_places,
+    maps,
+    inputs,
+    first_input,
+    n_inputs,
+    output,
+    weights,
+    block,
+    n_filters,
 ):
     tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
-    return _mixed(tile, n_places, weights, block, n_filters)
+    listed_inputs = simd.at(program, first_input)
+    return _mixed(tile, n_places, listed_inputs, n_inputs, weights, block, n_filters)
 
 
 @inlined
@@ -229,59 +300,89 @@ class _Tile:
         return builder.zext(builder.icmp_unsigned("!=", lanes, ir.Constant(lanes.type, 0)), INDEX)
 
 
-def _mixed(tile, n_places, weights, block, n_filters):
+def _listed_inputs(tile, n_places):
+    """Build the list of the inputs that are not 0 at every one of so many places."""
+    simd = tile.simd
+    builder = simd.builder
+    words = ir.VectorType(ir.IntType(32), 8)
+    numbers = ir.Constant(words, list(range(8)))
+    starts = [start for start, _ in tile.starts(n_places)]
+    first = tile.slot(P.RUNS)
+    run_length = tile.slot(P.RUN_LENGTH)
+    n_eights = builder.udiv(simd.add(run_length, 7), whole(8))
+
+    def add_run(r, ends):
+        of_run = simd.add(first, simd.mul(r, run_length))
+        distance = builder.and_(builder.load(simd.at(tile.program, of_run)), whole(DISTANCE))
+
+        def add_eight(k, ends):
+            at = simd.mul(k, 8)
+            bits = simd.load(starts[0], simd.add(distance, at), words)
+            for start in starts[1:]:
+                bits = builder.or_(bits, simd.load(start, simd.add(distance, at), words))
+            # All bits but the sign's: -0 is 0, too.
+            bits = builder.and_(bits, ir.Constant(words, [0x7FFF_FFFF] * 8))
+            chosen = builder.icmp_unsigned("!=", bits, ir.Constant(words, None))
+            left = simd.spread(builder.trunc(builder.sub(run_length, at), ir.IntType(32)), 8)
+            chosen = builder.and_(chosen, builder.icmp_signed("<", numbers, left))
+            return [simd.pack(tile.program, simd.add(of_run, at), chosen, tile.program, ends[0])]
+
+        return simd.loop(n_eights, ends, add_eight)
+
+    begin = builder.load(simd.at(tile.program, whole(P.LISTED)))
+    (end,) = simd.loop(tile.slot(P.N_RUNS), [begin], add_run)
+    return builder.sub(end, begin)
+
+
+def _mixed(tile, n_places, listed_inputs, n_inputs, weights, block, n_filters):
     """Build a tile of a MIX. Each number of places, and of registers, has its own instructions."""
-    builder = tile.simd.builder
+    simd = tile.simd
+    builder = simd.builder
 
     def of_registers(n_vectors):
         build = partial(
             _mixed_places,
             tile,
+            listed_inputs=listed_inputs,
+            n_inputs=n_inputs,
             weights=weights,
             block=block,
             n_filters=n_filters,
             n_vectors=n_vectors,
         )
-        return choose(builder, n_places, {n: partial(build, n) for n in SIZES})
+        return choose(builder, n_places, {n: partial(build, n) for n in SIZES[n_vectors]})
 
-    needs_two = builder.icmp_signed(">", n_filters, whole(LANES))
-    n_vectors = builder.select(needs_two, whole(2), whole(1))
-    return choose(builder, n_vectors, {n: partial(of_registers, n) for n in (1, 2)})
+    n_vectors = builder.udiv(simd.add(n_filters, LANES - 1), whole(LANES))
+    return choose(builder, n_vectors, {n: partial(of_registers, n) for n in SIZES})
 
 
-def _mixed_places(tile, n_places, weights, block, n_filters, n_vectors):
+def _mixed_places(tile, n_places, listed_inputs, n_inputs, weights, block, n_filters, n_vectors):
     """Build a tile of a MIX with this number of places, and of registers of filters."""
     simd = tile.simd
     builder = simd.builder
     size = n_vectors * LANES
     starts = tile.starts(n_places)
-    runs = tile.slot(P.RUNS)
-    n_runs = tile.slot(P.N_RUNS)
-    run_length = tile.slot(P.RUN_LENGTH)
-    n_weights = simd.mul(run_length, size)  # the number of weights of a run
-    bias = simd.add(block, simd.mul(n_runs, n_weights))
+    n_products = simd.mul(tile.slot(P.N_RUNS), tile.slot(P.RUN_LENGTH))
+    bias = simd.add(block, simd.mul(n_products, size))
+    of_block = simd.at(weights, block)
 
     def registers_at(array, index):
         return [simd.load(array, simd.add(index, v * LANES)) for v in range(n_vectors)]
 
-    def add_run(r, sums):
-        distance = builder.load(simd.at(tile.program, simd.add(runs, r)))
-        inputs = [simd.at(start, distance) for start, _ in starts]
-        of_run = simd.at(weights, simd.add(block, simd.mul(r, n_weights)))
-
-        def add_input(k, sums):
-            filters = registers_at(of_run, simd.mul(k, size))
-            new = []
-            for p, start in enumerate(inputs):
-                value = simd.spread(builder.load(simd.at(start, k)))
-                for v, each in enumerate(filters):
-                    new.append(simd.fma(each, value, sums[p * n_vectors + v]))
-            return new
-
-        return simd.loop(run_length, sums, add_input)
+    def add_input(i, sums):
+        number = builder.load(simd.at(listed_inputs, i))
+        distance = builder.and_(number, whole(DISTANCE))
+        filters = registers_at(of_block, simd.mul(builder.lshr(number, whole(32)), size))
+        new = []
+        for p, (start, _) in enumerate(starts):
+            value = simd.spread(builder.load(simd.at(start, distance)))
+            for v, each in enumerate(filters):
+                new.append(simd.fma(each, value, sums[p * n_vectors + v]))
+        return new
 
     biases = registers_at(weights, bias)
-    sums = simd.loop(n_runs, biases * n_places, add_run)
+    sums = simd.loop(n_inputs, biases * n_places, add_input)
+    sums = [builder.fadd(total, ZERO) for total in sums]  # 0 where it is -0
 
     slopes = simd.add(bias, size)
     slope = registers_at(weights, slopes)

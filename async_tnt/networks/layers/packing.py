@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.kernels.network.program import MIX
+from async_tnt.kernels.network.tiles import REGISTERS
 from async_tnt.kernels.target import LANES
 from async_tnt.networks.layers.steps import Step
 
@@ -72,7 +73,7 @@ def _rows(w: np.ndarray, step: Step) -> np.ndarray:
 def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
     """The blocks of filters (F, C) or (F, C, kernel_y, kernel_x), one after another.
 
-    Each block has one or two registers of filters.
+    Each block has up to REGISTERS registers of filters.
 
     Parameters
     ----------
@@ -82,8 +83,8 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
     # (K, F): a column holds the K weights of a filter, tap after tap, channel after channel
     columns = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
     blocks = []
-    for f in range(0, len(w), 2 * LANES):
-        n_filters = min(len(w) - f, 2 * LANES)
+    for f in range(0, len(w), REGISTERS * LANES):
+        n_filters = min(len(w) - f, REGISTERS * LANES)
         filters = slice(first + f, first + f + n_filters)
         block = np.zeros((len(columns) + 2, round_up(n_filters, LANES)), np.float32)
         block[:-2, :n_filters] = columns[:, f : f + n_filters]

@@ -119,6 +119,7 @@ def make_program(
     writer.write_header(output)
     for step in steps:
         writer.write_step(step)
+    writer.write_list()
 
     arrays = ProgramArrays(
         np.concatenate([writer.program, np.array(writer.tables, np.int64)]),
@@ -230,6 +231,7 @@ class _ProgramWriter:
         self.places = _Arena()
         self.records = {step: P.FIRST_STEP + k * P.STEP_SIZE for k, step in enumerate(steps)}
         self._n_weights = 0
+        self._most_inputs = 0
 
     def write_header(self, output: Map) -> None:
         program = self.program
@@ -313,12 +315,17 @@ class _ProgramWriter:
 
         source = step.inputs[0]
         runs, run_length = _runs(step, self._layout.firsts)
-        record[P.IN] = 0  # the table of runs holds distances from the beginning of `maps`
+        table = runs
+        if step.kind == P.MIX:
+            distances = [run + k for run in runs for k in range(run_length)]
+            table = [distance | i << 32 for i, distance in enumerate(distances)]
+            self._most_inputs = max(self._most_inputs, len(table))
+        record[P.IN] = 0  # the table holds distances from the beginning of `maps`
         record[P.IN_DY] = step.stride[0] * source.pitch
         record[P.IN_DX] = step.stride[1] * source.channels
         record[P.N_RUNS] = len(runs)
         record[P.RUN_LENGTH] = run_length
-        record[P.RUNS] = self._add_table(runs)
+        record[P.RUNS] = self._add_table(table)
 
     def _write_output(self, record: np.ndarray, step: Step) -> None:
         record[P.OUT] = self._layout.firsts[step.output] + step.channel
@@ -332,8 +339,17 @@ class _ProgramWriter:
         record[P.GROUP_CHANNELS] = step.inputs[0].channels // packed.groups
         record[P.WEIGHTS] = self._n_weights
         record[P.PLACE_WEIGHTS] = packed.place_weights
+        if step.kind == P.MIX and not np.isfinite(step.weights).all():
+            record[P.TILES_UNLISTED] = P.ALWAYS  # 0 times such a weight is nan
         self.weights.append(packed.numbers)
         self._n_weights += packed.numbers.size
+
+    def write_list(self) -> None:
+        """Reserve memory for the list of a tile's inputs, behind all tables.
+
+        The instructions read and write eight numbers at once, which may reach behind a list's end.
+        """
+        self.program[P.LISTED] = self._add_table([0] * (self._most_inputs + 8))
 
     def _add_table(self, numbers: list[int]) -> int:
         """Write numbers behind the records; returns where they begin in the whole program."""
