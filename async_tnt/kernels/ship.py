@@ -36,7 +36,7 @@ def import_all() -> None:
 def compile_all(path: Path) -> None:
     """Compile all entry points for the processor that this process compiles for.
 
-    Numba cannot write what it has loaded from its cache: the cache must be empty.
+    Numba cannot write what it has loaded: its cache must be empty, and the package's code not used.
     """
     import_all()
     prepare(*ENTRY_POINTS)
@@ -50,7 +50,9 @@ def ship(kinds: list[str], folder: Path) -> list[Path]:
     code += "compile_all(pathlib.Path(sys.argv[1]))"
     for kind, path in zip(kinds, files, strict=True):
         with tempfile.TemporaryDirectory() as cache:
-            environment = os.environ | settings_for(kind) | {"NUMBA_CACHE_DIR": cache}
+            # NUMBA_OPT at its default: where it is set, code of the package is not loaded
+            settings = {**settings_for(kind), "NUMBA_CACHE_DIR": cache, "NUMBA_OPT": "3"}
+            environment = os.environ | settings
             subprocess.run([sys.executable, "-c", code, str(path)], env=environment, check=True)
     return files
 

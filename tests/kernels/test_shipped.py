@@ -53,9 +53,9 @@ def folder(tmp_path_factory):
     if chosen_kind() is None:
         pytest.skip("this processor is of no kind that a package brings code for")
     folder = tmp_path_factory.mktemp("compiled")
-    # what Numba has loaded from its cache it cannot write again
-    empty = str(tmp_path_factory.mktemp("cache"))
-    run(MAKE, folder / f"{chosen_kind()}.code", NUMBA_BOUNDSCHECK=None, NUMBA_CACHE_DIR=empty)
+    # Numba cannot write again what it has loaded, from its cache or from the package.
+    settings = {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("cache")), "NUMBA_OPT": "3"}
+    run(MAKE, folder / f"{chosen_kind()}.code", NUMBA_BOUNDSCHECK=None, **settings)
     return folder
 
 

@@ -110,7 +110,6 @@ def window_volumes(buffer, scratch, columns, windows, landmark_kind, landmarks, 
     float64[:, ::1],
     float32[:, :, :, ::1],
     float64[:, ::1],
-    calls=(absorb, empty_volume, cells_to_float32),
 )
 def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, out):
     """Write dL/dl of each window into `out`, from dL/dV: the chain rule through the volume.
