@@ -116,6 +116,24 @@ def test_a_wait_is_said_once(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+SWITCHED = """
+import gc
+gc.SWITCH()
+from async_tnt import TNTConfig, TNTVolume
+TNTVolume(TNTConfig()).update(([1], [2], [3], [1]))
+print(gc.isenabled())
+"""
+
+
+@pytest.mark.parametrize(("switch", "is_on"), [("enable", True), ("disable", False)])
+def test_a_program_without_garbage_collection_remains_so(switch, is_on):
+    """While a kernel is compiled or loaded, there is none. It is on afterwards if it was before."""
+    code = SWITCHED.replace("SWITCH", switch)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    # it may also say, as a warning, that it compiles
+    assert done.stdout == f"{is_on}\n", done.stderr
+
+
 def test_every_entry_point_has_a_name_and_a_description():
     assert isinstance(classify_cells, EntryPoint)
     assert classify_cells.name == "decisions.classify.classify_cells"
