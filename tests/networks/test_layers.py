@@ -367,6 +367,29 @@ def test_small_networks_by_hand():
         assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_one_reader_of_a_map_leaves_out_is_there_for_another(order):
+    """A pooling of 4 x 4 of 6 x 5 places, and a mean of all, whichever is listed first."""
+    of_map = [
+        {"op": "max_pool", "name": "pool", "inputs": ["map"], **window(4, 0, 4)},
+        {"op": "global_average_pool", "name": "mean", "inputs": ["map"]},
+    ]
+    layers = [
+        {**chain(conv())[0], "name": "map"},
+        *of_map[::order],
+        {"op": "concat", "name": "both", "inputs": ["pool", "mean"]},
+    ]
+    model = Model(
+        SMALL.replace(bins=1),
+        {"w": np.full((1, 1, 1, 1), 2.0)},
+        ["a", "b"],
+        network={"classifier": layers},
+    )
+    volume = np.random.default_rng(0).normal(size=(1, 6, 5)).astype(np.float32)
+    expected = [2 * volume[0, :4, :4].max(), 2 * volume.mean()]
+    assert CompiledClassifier(model)(volume) == pytest.approx(expected, abs=1e-6)
+
+
 def test_sums_of_maps_that_other_sums_widen():
     """A sum is listed before the one by which its second map gets the frame of the third, which a
     convolution reads beyond its border."""
