@@ -593,6 +593,18 @@ def test_the_object_has_the_stated_size(tmp_path):
             SceneSettings((34, 34), 1_000, size=wrong)
 
 
+def test_what_happens_at_the_end_of_a_motion_is_not_in_it():
+    """An event that is rounded to the last time belongs to the motion that begins there."""
+    rng = np.random.default_rng(0)
+    image = PeriodicImage(rng.normal(size=(16, 16)), 1, 0.0, np.full(2, 8.0), (16, 16))
+    pixels = PixelModel(0.1, 0.1, mismatch=0.0, refractory_us=0.0, noise_hz=0.0)
+    for end_us in (10, 10.5, 11):
+        moved = np.array([[0.0, 0.0], [3.0, 0.0]])
+        events = image.events(np.array([0, end_us], float), moved, None, pixels, rng)
+        # light that changes evenly gives events in every microsecond
+        assert np.unique(events["t"]).tolist() == list(range(int(np.ceil(end_us))))
+
+
 def test_a_known_camera_keeps_to_what_is_known():
     camera = MeasuredPixels(1.2, 1 / 1.2, 800.0, 0.2, 0.9, 0.1)
     drawn = [random_pixels(np.random.default_rng(i), camera) for i in range(200)]
