@@ -1,6 +1,7 @@
 """Recordings in memory -> windows, split by recording."""
 
 import numpy as np
+import pytest
 from made import events_of
 
 from async_tnt.training.recordings import Recordings
@@ -41,6 +42,13 @@ def test_the_last_window_reaches_the_end_of_what_a_column_of_times_holds():
         t, x, y, p = windows.events(k, 100_000, (50_000, 50_000))
         assert t.tolist() == [since_us]
         assert (x.tolist(), y.tolist(), p.tolist()) == ([5], [7], [1])
+
+
+def test_times_that_a_column_does_not_hold_are_refused():
+    """The first time after the last one that it holds would become a negative one."""
+    for last_us in (1 << 31, 1 << 32):
+        with pytest.raises(ValueError, match=rf"^one: times must be in order .* 0 to {last_us}$"):
+            Recordings.from_events([recording([0, last_us])], [0], ["one"])
 
 
 def test_windows_that_are_cut_out_keep_their_events_classes_and_names():
