@@ -206,9 +206,12 @@ class Processor(TriggerAttributes):
             failed decision at a window's end or of `every_us`; a failed decision that an event made
             due is lost.
         """
-        if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
+        # the usual forms first: to look for a single event of another form takes 200 ns
+        is_four = type(events) is tuple and len(events) == 4
+        kind = type(events[0]) if is_four else type(events)
+        if is_four and kind is int:
             return self.push_one(*events)
-        if type(events) is not np.ndarray:
+        if kind is not np.ndarray:
             event = self._read_one(events)
             if event is not None:
                 return self.push_one(*event)
