@@ -164,7 +164,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
     duration_us = model.config.window_us * n_moments
     events = moving(model.config.sensor, OBJECTS, A_WINDOW * n_moments, duration_us, 20.0)
     check(model, events[:1_300], networks)
-    # `continued` gets all events; `fresh` begins anew at each moment
+    # `continued` gets all events; `fresh` begins again at each moment
     continued = Processor(model, start_us=0)
     fresh = Processor(model, start_us=0)
     times_us: dict[str, list[float]] = {}

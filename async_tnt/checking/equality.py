@@ -236,8 +236,8 @@ def _check_network(
     # The same network is used for all windows, because it must keep nothing of the previous window.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
-    # If each read builds the volume anew from all events of the window, a decision after each event
-    # would take too long. Then there are decisions only at the ends of prefixes.
+    # If each read builds the volume again from all events of the window, a decision after each
+    # event would take too long. Then there are decisions only at the ends of prefixes.
     every_events = None if config.needs_replay else 1
     for window_start_us, window_events, ends in _prefixes(
         reference_windows(events, config, start_us), prefixes

@@ -339,6 +339,19 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
     return np.array(exact, np.int64)
 
 
+def fields_of_records(dtype: np.dtype) -> list[str] | None:
+    """The fields of records that hold t, x, y and p; None if one is missing or has two names."""
+    if dtype.names is None:
+        return None
+    fields = []
+    for names in NAMES.values():
+        matches = [name for name in names if name in dtype.names]
+        if len(matches) != 1:
+            return None
+        fields += matches
+    return fields
+
+
 def the_name(field: str, names: Collection[str], description: str) -> str:
     """The one name among `names` that means `field`.
 

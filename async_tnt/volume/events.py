@@ -24,7 +24,7 @@ from async_tnt.kernels.volume.records import (
     find_late,
     load_records,
 )
-from async_tnt.volume.event_forms import NAMES, named_columns
+from async_tnt.volume.event_forms import fields_of_records, named_columns
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """The type in which this package writes events: t in microseconds; x, y in pixels from the top
@@ -404,14 +404,12 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
 
     None if `load_records` cannot read such records.
     """
-    if dtype.names is None or dtype.fields is None:
+    names = fields_of_records(dtype)
+    if names is None or dtype.fields is None:
         return None
     layout: list[int] = []
-    for field, names in NAMES.items():
-        matches = [name for name in names if name in dtype.names]
-        if len(matches) != 1:
-            return None
-        number, offset = dtype.fields[matches[0]][:2]
+    for field, name in zip("txyp", names, strict=True):
+        number, offset = dtype.fields[name][:2]
         kind = KIND.get(number.str[1:])
         # the kernel would take a polarity of 2**64 - 1 for -1
         refused_type = "u8" if field == "p" else "b1"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.volume.event_forms import NAMES
+from async_tnt.volume.event_forms import fields_of_records
 
 _UNSIGNED = (np.uint8, np.uint16, np.uint32, np.uint64)
 _SIGNED = (np.int8, np.int16, np.int32, np.int64)
@@ -71,16 +71,11 @@ def _numbers_of_tuple(event: tuple[Any, ...]) -> FourIntegers | None:
 
 def _places_in(dtype: np.dtype) -> FourIntegers | None:
     """Where t, x, y and p stand among a record's fields; None if they are not four integers."""
-    if dtype.names is None or dtype.fields is None:
+    names = fields_of_records(dtype)
+    if names is None or dtype.names is None or dtype.fields is None:
         return None
-    places = []
-    for field, names in NAMES.items():
-        matches = [name for name in names if name in dtype.names]
-        if len(matches) != 1:
+    for field, name in zip("txyp", names, strict=True):
+        if dtype.fields[name][0].kind not in ("iub" if field == "p" else "iu"):
             return None
-        kind = dtype.fields[matches[0]][0].kind
-        if kind not in ("iub" if field == "p" else "iu"):
-            return None
-        places.append(dtype.names.index(matches[0]))
-    t, x, y, p = places
+    t, x, y, p = (dtype.names.index(name) for name in names)
     return t, x, y, p

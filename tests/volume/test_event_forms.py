@@ -17,8 +17,8 @@ import pytest
 import torch
 
 from async_tnt.sources import open_recording
-from async_tnt.volume.event_forms import event_columns
-from async_tnt.volume.events import EVENT_DTYPE, NAMES, EventDecoder, as_events
+from async_tnt.volume.event_forms import NAMES, event_columns
+from async_tnt.volume.events import EVENT_DTYPE, EventDecoder, as_events
 
 SENSOR = (346, 260)
 T = [16_777_217, 16_777_219, 16_777_219, 16_777_218, 2_000_000_003, 2_000_000_004, 2_000_000_005]

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from async_tnt import EVENT_DTYPE
-from async_tnt.volume.events import NAMES, EventDecoder, as_events, checked_columns, named_columns
+from async_tnt.volume.event_forms import NAMES, named_columns
+from async_tnt.volume.events import EventDecoder, as_events, checked_columns
 
 INTEGERS = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 OURS = ("i8", "u2", "u2", "u1")

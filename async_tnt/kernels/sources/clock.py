@@ -78,7 +78,7 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
         clock[VOTES] = 0
     elif n_valid > 0:
         has_moved = _vote(clock, oldest, arrival, max_jump)
-    # The clock begins anew at the oldest time of this packet. Where that would take the stream's
+    # The clock begins again at the oldest time of this packet. Where that would take the stream's
     # times back, the offset grows instead.
     is_first = newest < 0 and n_plausible > 0 and max_jump != NO_LIMIT
     if has_moved or is_first:
