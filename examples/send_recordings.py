@@ -31,7 +31,9 @@ def one_after_the_other():
             continue
         events["t"] += start_us - events["t"].min()
         yield events
-        start_us = -(-(int(events["t"].max()) + 1) // WINDOW_US) * WINDOW_US
+        # the next recording begins at the end of the last window with an event
+        n_windows = int(events["t"].max()) // WINDOW_US + 1
+        start_us = n_windows * WINDOW_US
 
 
 n_events = 0

@@ -54,7 +54,7 @@ from experiments.speed.timing import machine
 EARLY_US = 30_000
 """Time after the start of the last object at which an early decision is asked for."""
 
-STARTS_US = 50_000
+LATEST_START_US = 50_000
 """Time within which all objects of a scene begin."""
 
 NOISE_HZ = 0.3
@@ -135,7 +135,8 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
     last_start_us = 0
     for path, middle in zip(files, middles, strict=True):
         events = one_window(path, kind.window_us, rng)
-        start_us = int(rng.integers(STARTS_US)) if parts else 0  # the first object starts at 0
+        # the first object starts at 0
+        start_us = int(rng.integers(LATEST_START_US)) if parts else 0
         centre = np.array([np.quantile(events[axis], (0.02, 0.98)).mean() for axis in "xy"])
         shift = np.rint(middle - centre).astype(int)
         t = events["t"] + start_us
@@ -186,7 +187,7 @@ def measure(
     """
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
-    n_rounds = -(-n_objects // len(files))
+    n_rounds = -(-n_objects // len(files))  # rounded up
     order = np.concatenate([rng.permutation(len(files)) for _ in range(n_rounds)])
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     end_counts = np.zeros(3)

@@ -39,7 +39,7 @@ from experiments.speed.timing import machine
 SIDE = 34
 """Width and height of the sensor of N-MNIST, in pixels."""
 
-RATES = (1.0, 0.2)
+KEPT_SHARES = (1.0, 0.2)
 """Shares of the events that are kept."""
 
 FEWEST = 50
@@ -118,7 +118,7 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
         kept = events[inside & (rng.random(len(events)) < rate)]
         return _columns((kept["t"] - start_us, kept["x"], kept["y"], kept["p"]))
 
-    for rate in RATES:
+    for rate in KEPT_SHARES:
         for saccade in range(3):
             start_us = saccade * SACCADE_US
             windows = [cut(file, start_us, start_us + SACCADE_US, rate, start_us) for file in files]
@@ -130,7 +130,7 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
             rows[title] = path_row(paths, np.full(n, true_angle))
 
     third = SACCADE_US // 3
-    rate = min(RATES)
+    rate = min(KEPT_SHARES)
     starts = third * (np.arange(n) % 9)
     wide_windows = [
         cut(file, start - third, start + 2 * third, rate, start)

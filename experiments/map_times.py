@@ -58,13 +58,13 @@ SENSORS = ((128, 96), (304, 240), (640, 480))
 SIDE = 34
 """Width and height of a recording, in pixels."""
 
-OBJECTS = 3
+N_OBJECTS = 3
 """Number of recordings that stand on the sensor. Under load, each number up to this is measured."""
 
-A_WINDOW = 1_400
+N_WINDOW_EVENTS = 1_400
 """Number of events of a window."""
 
-MOMENTS = 300
+N_MOMENTS = 300
 """Number of moments that are timed."""
 
 SPEED_SENSOR = (320, 240)
@@ -78,9 +78,10 @@ EVERY_US = 1_000
 
 
 def four(channels: int) -> nn.Module:
-    """A network of four convolutions, whose map has a place for each 8x8 pixels.
+    """Four convolutions, and a 1x1 convolution to the logits of ten classes and of "nothing".
 
-    Its last bias makes the answer "nothing" likely, because few places have an object.
+    The map has a place for each 8x8 pixels. The last bias makes the answer "nothing" likely,
+    because few places have an object.
     """
     widths = (channels, 16, 32, 32, 48)
     strides = (2, 2, 2, 1)
@@ -113,10 +114,11 @@ def moving(
     """
     rng = np.random.default_rng(n_objects)
     room = np.array(sensor) - SIDE - 1
+    n_each = n // n_objects
     parts = []
     for k in range(n_objects):
         events = open_recording(sample_recordings()[k]).read()
-        events = np.tile(events, -(-n // (n_objects * len(events))))[: n // n_objects]
+        events = np.resize(events, n_each)  # a copy, which repeats the recording as needed
         events["t"] = np.arange(len(events)) * duration_us // len(events)
         diagonal = np.sqrt([0.5, 0.5])
         path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * diagonal)
@@ -162,7 +164,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
     networks = backends.dense_networks(model)
     networks = {name: networks[name] for name in ("dense", "onnxruntime_run") if name in networks}
     duration_us = model.config.window_us * n_moments
-    events = moving(model.config.sensor, OBJECTS, A_WINDOW * n_moments, duration_us, 20.0)
+    events = moving(model.config.sensor, N_OBJECTS, N_WINDOW_EVENTS * n_moments, duration_us, 20.0)
     check(model, events[:1_300], networks)
     # `continued` gets all events; `fresh` begins again at each moment
     continued = Processor(model, start_us=0)
@@ -179,7 +181,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
 
     with no_collector():
         for k in range(n_moments):
-            new_events = events[A_WINDOW * k : A_WINDOW * (k + 1)]
+            new_events = events[N_WINDOW_EVENTS * k : N_WINDOW_EVENTS * (k + 1)]
             decide(continued)(new_events[:299])
             # This decision is not timed. It fills the caches again, after a dense pass has emptied
             # them.
@@ -201,7 +203,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
 
 def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
     """The median and the 99th percentile of an event's time in SSLA-RT, in microseconds."""
-    events = moving(SENSORS[1], OBJECTS, A_WINDOW * n_moments, 105_000 * n_moments, 20.0)
+    events = moving(SENSORS[1], N_OBJECTS, N_WINDOW_EVENTS * n_moments, 105_000 * n_moments, 20.0)
     with TemporaryDirectory() as folder:
         path = f"{folder}/events.npy"
         np.save(path, np.stack([events[name] for name in "txyp"], 1).astype(np.float32))
@@ -232,18 +234,21 @@ def load(model: Model, n_objects: int, seconds: float) -> float:
 
 def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
     """The report. `peer` is the program of SSLA-RT and its weights, or None."""
-    n_moments = 20 if quick else MOMENTS
+    n_moments = 20 if quick else N_MOMENTS
     seconds = 0.05 if quick else 1.0
     rows: dict[str, Any] = {}
     models_by_name = models()
-    with progress(len(models_by_name) * (len(SENSORS) + OBJECTS), "times") as bar, one_thread(True):
+    with (
+        progress(len(models_by_name) * (len(SENSORS) + N_OBJECTS), "times") as bar,
+        one_thread(True),
+    ):
         for name, model in models_by_name.items():
             rows[name] = {"times_us": {}, "load": {}}
             for sensor in SENSORS:
                 size = "x".join(map(str, sensor))
                 rows[name]["times_us"][size] = times(model.for_sensor(sensor), n_moments)
                 bar.update()
-            for n_objects in range(1, OBJECTS + 1):
+            for n_objects in range(1, N_OBJECTS + 1):
                 rows[name]["load"][str(n_objects)] = load(model, n_objects, seconds)
                 bar.update()
     if peer:

@@ -46,7 +46,7 @@ EVERY_US = 5_000
 SILENCE_S = 2.0
 """Seconds without a datagram after which the stream has ended."""
 
-EVENTS = 100
+DATAGRAM_EVENTS = 100
 """Number of events of a datagram. Its 1300 bytes fit Ethernet."""
 
 WAYS = ("plain_socket", "packet", "decision")
@@ -72,7 +72,7 @@ def send_pings(ports: list[int], n: int) -> None:
 
     All events of a datagram have the time of sending.
     """
-    events = random_events(EVENTS)
+    events = random_events(DATAGRAM_EVENTS)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for k in range(n * len(ports)):
             time.sleep(0.001)
@@ -84,12 +84,12 @@ def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
     """Send events at an even rate, and return counts of what was sent.
 
     The load is sent in shares. A share has the events of `SHARE_S` seconds, and is sent at once, at
-    the end of these seconds. If that would be less than one datagram of `EVENTS` events, a share is
-    one datagram. If the load has fewer than `EVENTS` events a second, a share has the events of one
-    second.
+    the end of these seconds. If that would be less than one datagram of `DATAGRAM_EVENTS` events, a
+    share is one datagram. If the load has fewer than `DATAGRAM_EVENTS` events a second, a share has
+    the events of one second.
     """
     # number of events of a share
-    n = max(1, round(rate * SHARE_S), min(EVENTS, round(rate)))
+    n = max(1, round(rate * SHARE_S), min(DATAGRAM_EVENTS, round(rate)))
     events = random_events(n)
     # Times at which events are due, relative to the end of their share, and so negative. The first
     # event is due at the beginning of the share. The last event is due one period before its end.
@@ -105,8 +105,8 @@ def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
             due_ns = started_ns + round(k * n * 1e9 / rate)
             events["t"] = offset_us + due_ns // 1000
             wait_until(due_ns)
-            for first in range(0, n, EVENTS):
-                data = encode(events[first : first + EVENTS])
+            for first in range(0, n, DATAGRAM_EVENTS):
+                data = encode(events[first : first + DATAGRAM_EVENTS])
                 try:
                     n_bytes += sender.send(data)
                     n_datagrams += 1
@@ -143,7 +143,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
     """
     late_us: dict[str, list[float]] = {way: [] for way in WAYS}
     sensor = model.config.sensor
-    processor = Processor(model, every_events=EVENTS)
+    processor = Processor(model, every_events=DATAGRAM_EVENTS)
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain_socket,
         UdpSource(port=0, sensor=sensor) as packet_source,
@@ -160,7 +160,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
                 for way, source in (("packet", packet_source), ("decision", decision_source)):
                     # This process was late: the datagram came in one packet with the previous one.
-                    if n_events[way] > k * EVENTS:
+                    if n_events[way] > k * DATAGRAM_EVENTS:
                         continue
                     packet = source.receive(30)
                     if packet is None:
@@ -200,7 +200,7 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
         counts = source.counts
     return {
         "rate_wanted": rate,
-        "datagram_events": EVENTS,
+        "datagram_events": DATAGRAM_EVENTS,
         "sent": sent,
         "received": {
             "datagrams": counts.datagrams,

@@ -21,7 +21,7 @@ from experiments.scripts.options import exit_with, run_script, script_parser
 from experiments.speed.moments import made_columns
 from experiments.speed.timing import interleave, machine, spread, work_clock
 
-GRIDS = ((34, 34), (346, 260), (1280, 720))
+SENSORS = ((34, 34), (346, 260), (1280, 720))
 """Width and height of the sensors. The grid of each volume has the same size."""
 
 PACKETS = (10, 100, 1300)
@@ -46,9 +46,9 @@ def measure(quick: bool) -> dict[str, Any]:
     # as an index, False is 0 (in full), and True is 1 (--quick)
     rounds = ROUNDS[quick]
     sensor_reports = []
-    with progress(len(GRIDS) + 1, "compiling") as bar:
+    with progress(len(SENSORS) + 1, "compiling") as bar:
         warmup()
-        for grid in GRIDS:
+        for grid in SENSORS:
             bar.update(title=f"volume, {grid[0]} x {grid[1]}")
             sensor_reports.append(bench_volume(grid, rng, n_events=N_EVENTS[quick], rounds=rounds))
         bar.update(title="whole windows")
@@ -96,8 +96,10 @@ def whole_windows(rng: np.random.Generator, n_events: int, rounds: int) -> dict[
 
     A window is opened, filled by packets of 1,300 events, and read once at its end.
     """
-    config = TNTConfig(sensor=GRIDS[-1], grid=GRIDS[-1], landmark="running")
-    packets = _column_packets(made_columns(rng, GRIDS[-1], n_events, config.window_us), PACKETS[-1])
+    config = TNTConfig(sensor=SENSORS[-1], grid=SENSORS[-1], landmark="running")
+    packets = _column_packets(
+        made_columns(rng, SENSORS[-1], n_events, config.window_us), PACKETS[-1]
+    )
     volume = TNTVolume(config)
 
     def run() -> float:

@@ -45,11 +45,11 @@ if that is another one. On a quiet machine the quartiles are close together.
 
 NEW_EVENTS = (1, 100, 1300)
 """Numbers of events between two decisions; the time of the second one is measured."""
-PACKET = 1000
+PACKET_EVENTS = 1000
 """Number of events in a packet."""
 ROUNDS = 50
 """How often all windows are pushed into the volume."""
-MOMENTS = 50
+N_MOMENTS = 50
 """Number of decisions that are timed in each recording."""
 N_EVENTS = 2000
 """Number of events of each recording that are pushed with a decision after every event."""
@@ -113,8 +113,11 @@ def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
 
 
 def _packets(events: np.ndarray) -> list[np.ndarray]:
-    """Cut events into packets of `PACKET` events."""
-    return [events[first : first + PACKET].copy() for first in range(0, events.size, PACKET)]
+    """Cut events into packets of `PACKET_EVENTS` events."""
+    return [
+        events[first : first + PACKET_EVENTS].copy()
+        for first in range(0, events.size, PACKET_EVENTS)
+    ]
 
 
 def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
@@ -150,7 +153,7 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
     for events in recordings:
         processor.reset()
         n_pushed = 0
-        for n_at_call in np.linspace(n_new, events.size, MOMENTS).astype(int):
+        for n_at_call in np.linspace(n_new, events.size, N_MOMENTS).astype(int):
             # The decision before the timed one comes after this number of events. It must not come
             # before the previous timed decision, or before the first event.
             n_before = n_at_call - n_new

@@ -24,13 +24,13 @@ from async_tnt.volume.sensor import check_sensor
 
 REMOVED = {"--start-us": "windows begin with the first event; --between-us chooses a part"}
 
-SIZES = ", ".join(str(size) for size in PACKET_SIZES[:-1])
+SIZES_TEXT = ", ".join(str(size) for size in PACKET_SIZES[:-1])
 """The packet sizes as text. The last size, which stands for all events at once, is left out."""
 
 DESCRIPTION = f"""\
 Compare the stream with the batch reference in torch, on recordings. For every landmark:
 
-  - Packets of {SIZES} and all events give the same volume, bit for bit.
+  - Packets of {SIZES_TEXT} and all events give the same volume, bit for bit.
   - At prefixes of each window, the volume equals the reference's to 1e-6 of its largest
     cell, and the landmark to 1e-9 pixels.
   - The model's logits equal the reference's to 1e-4 (of the largest logit, if that

@@ -17,7 +17,7 @@ import numpy as np
 from async_tnt.base.files import check_writable, user_path
 from async_tnt.base.progress import progress
 from async_tnt.cli.evaluate_objects import evaluate_objects
-from async_tnt.cli.options import MODELS, add_reading, model_of, positive_int
+from async_tnt.cli.options import MODELS_TEXT, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
 from async_tnt.evaluation.early import early_report
@@ -81,7 +81,7 @@ usage, or if no recording could be read.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("model", metavar="MODEL", help=MODELS)
+    parser.add_argument("model", metavar="MODEL", help=MODELS_TEXT)
     parser.add_argument(
         "dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>"
     )

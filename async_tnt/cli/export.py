@@ -7,7 +7,7 @@ import json
 
 from async_tnt.base.files import check_writable, replacing, user_path
 from async_tnt.base.messages import one_line
-from async_tnt.cli.options import MODELS, model_of
+from async_tnt.cli.options import MODELS_TEXT, model_of
 from async_tnt.cli.output import say
 from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.models.compiled import CompiledClassifier
@@ -37,7 +37,7 @@ does not agree and nothing is written, 2 for bad usage or bad input.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("model", metavar="MODEL", help=MODELS)
+    parser.add_argument("model", metavar="MODEL", help=MODELS_TEXT)
     parser.add_argument(
         "--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists"
     )

@@ -13,7 +13,7 @@ from typing import Any
 
 from async_tnt.base.files import user_path
 from async_tnt.base.progress import progress
-from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
+from async_tnt.cli.options import SUFFIXES_TEXT, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import can_print, complain, message_of, say
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="WHAT",
-        help=f"recordings ({READABLE}), or digits of bundled ones, folders, .safetensors files or "
-        f"bundled models ({', '.join(bundled_models())})",
+        help=f"recordings ({SUFFIXES_TEXT}), or digits of bundled ones, folders, .safetensors "
+        f"files or bundled models ({', '.join(bundled_models())})",
     )
     parser.add_argument(
         "--sensor",

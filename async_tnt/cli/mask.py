@@ -12,7 +12,7 @@ import numpy as np
 
 from async_tnt.base.files import check_writable, user_path
 from async_tnt.base.progress import progress
-from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
+from async_tnt.cli.options import SUFFIXES_TEXT, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import say
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixels.hot_pixels import count_pixels, hot_pixels, listed_pixels
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="RECORDING",
         type=user_path,
-        help=f"recordings ({READABLE}), or digits of bundled ones",
+        help=f"recordings ({SUFFIXES_TEXT}), or digits of bundled ones",
     )
     parser.add_argument(
         "--out",

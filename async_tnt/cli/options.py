@@ -21,9 +21,9 @@ from async_tnt.volume.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTAT
 
 SAMPLES = Path("samples")
 """The word that means all bundled recordings, unless a file or folder has this name."""
-READABLE = ", ".join(sorted(READERS))
+SUFFIXES_TEXT = ", ".join(sorted(READERS))
 """The suffixes of recordings, for help."""
-MODELS = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
+MODELS_TEXT = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
 """The models that every command takes, for help."""
 MOST_DIGITS = 4300
 """Number of digits of the longest whole number that Python reads."""
@@ -49,13 +49,14 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, single: bo
         nargs="?" if single else "*",
         metavar="FILE",
         type=_live_or_path if live else user_path,
-        help=f"{sources}recordings ({READABLE}), or digits of bundled ones, such as 3; {bundled}",
+        help=f"{sources}recordings ({SUFFIXES_TEXT}), or digits of bundled ones, such as 3; "
+        f"{bundled}",
     )
     parser.add_argument(
         "--model",
         default="digits",
         metavar="NAME|FILE",
-        help=f"{MODELS}{onnx} (default: %(default)s)",
+        help=f"{MODELS_TEXT}{onnx} (default: %(default)s)",
     )
     if live:
         parser.add_argument(
@@ -104,7 +105,8 @@ def model_of(name: str) -> Model:
     """Load the model of this name or path. An .onnx file is refused with a ValueError."""
     if Path(name).suffix.lower() == ".onnx":
         raise ValueError(
-            f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed"
+            f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS_TEXT} is "
+            "needed"
         )
     return load_model(name)
 

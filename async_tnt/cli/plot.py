@@ -7,8 +7,8 @@ from pathlib import Path
 
 from async_tnt.base.files import check_ours, user_path
 from async_tnt.cli.options import (
-    MODELS,
-    READABLE,
+    MODELS_TEXT,
+    SUFFIXES_TEXT,
     add_reading,
     add_volume,
     model_of,
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         metavar="FILE",
         default=str(DEFAULT_SAMPLE),
-        help=f"recording ({READABLE}), or the digit of a bundled one (default: %(default)s)",
+        help=f"recording ({SUFFIXES_TEXT}), or the digit of a bundled one (default: %(default)s)",
     )
     parser.add_argument(
         "--out",
@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         metavar="NAME|FILE",
-        help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)",
+        help=f"{MODELS_TEXT} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)",
     )
     parser.add_argument(
         "--window",

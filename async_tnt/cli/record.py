@@ -54,9 +54,9 @@ LONGEST_NAME = 255
 """Bytes of the longest file name that most file systems allow."""
 EVERY_S = 0.1
 """Seconds between two pictures of the last events."""
-COLUMNS = 64
+MOST_COLUMNS = 64
 """Characters in a row of the picture, at most."""
-ROWS = 20
+MOST_ROWS = 20
 """Rows of characters in the picture, at most. A character is two pixels high."""
 LEAST_COLUMNS = 9
 """A picture with fewer characters in a row is not shown."""
@@ -268,8 +268,8 @@ class _Picture:
         self._blocks = BLOCKS if can_print(BLOCKS, sys.stderr) else ASCII_BLOCKS
 
         size = shutil.get_terminal_size()
-        self._columns = max(0, min(COLUMNS, size.columns - 1))
-        self._rows = max(0, min(ROWS, size.lines - 2))
+        self._columns = max(0, min(MOST_COLUMNS, size.columns - 1))
+        self._rows = max(0, min(MOST_ROWS, size.lines - 2))
         has_room = self._columns >= LEAST_COLUMNS and self._rows >= LEAST_ROWS
         self._is_shown = has_room and sys.stderr.isatty()
 

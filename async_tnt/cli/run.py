@@ -141,12 +141,14 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _prepare(args: argparse.Namespace) -> _Run:
-    """Load the model, make the Processor, and check that at least one source can be opened.
+    """Load the model and make the Processor.
+
+    If kernels must still be compiled, check before this wait that a source can be opened.
 
     Raises
     ------
     ValueError, OSError, ImportError, MemoryError : the model cannot be read, or does not suit the
-        options; no source can be opened.
+        options; or kernels must still be compiled, and no source can be opened.
     """
     selection = pixels_of(args)
     engine = choose_engine(args.model, map_model_sensor(selection, args), args.config)

@@ -202,8 +202,9 @@ several threads."""
 def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
     """The Processor of a job, and the selector of its pixels.
 
-    A thread uses the same two objects for all recordings of a job. The Processor is reset here, and
-    decides as often as `early.every_us` says. The selector is not reset, so its counts go on.
+    A thread uses the same two objects for all recordings of a job. The Processor is reset here. It
+    decides every `early.every_us(config)` microseconds, or only at the ends of windows if that is
+    None. The selector is not reset: it goes on counting the events that it leaves out.
 
     Raises
     ------

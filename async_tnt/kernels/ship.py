@@ -64,9 +64,12 @@ def main() -> int:
         print(f"usage: python -m {PACKAGE}.ship FOLDER [all]", file=sys.stderr)
         return 2
     best = best_kind()
-    kinds = [] if best is None else [best]
     if arguments[1:]:
         kinds = list(KINDS) if is_x86() else [GENERIC]
+    elif best is not None:
+        kinds = [best]
+    else:
+        kinds = []  # a processor that is older than all kinds gets no file
     for path in ship(kinds, Path(arguments[0])):
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
     return 0

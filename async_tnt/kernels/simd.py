@@ -47,9 +47,9 @@ def whole(value: int) -> ir.Constant:
 
 
 class Simd:
-    """Builds instructions on vectors of LANES float32, or of another `kind`.
+    """Builds instructions on vectors of LANES float32. Some methods take vectors of other types.
 
-    Indices count numbers, not bytes.
+    Indices count elements of an array, not bytes.
     """
 
     def __init__(self, builder: ir.IRBuilder) -> None:

@@ -109,6 +109,7 @@ class MovingImage:
         self.sensor = sensor
         self.window_us = window_us
         self.cell = cell
+        # rounded up: the last cells may reach beyond the sensor
         self.columns = -(-width // cell)
         self.rows = -(-height // cell)
         self.shape = fft_size(self.rows + MARGIN), fft_size(self.columns + MARGIN)
@@ -268,7 +269,7 @@ def cell_for(windows: Sequence[Columns], sensor: tuple[int, int]) -> int:
         if len(x):
             sizes.append(max(np.ptp(np.quantile(axis, (0.15, 0.85))) for axis in (x, y)))
     wanted = round(float(np.median(sizes)) / OBJECT_CELLS) if sizes else 1
-    least = -(-max(sensor) // MOST_CELLS)
+    least = -(-max(sensor) // MOST_CELLS)  # rounded up
     return int(np.clip(wanted, least, max(least, max(sensor) // FEWEST_CELLS)))
 
 

@@ -258,15 +258,15 @@ class PathFinder:
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        """The two terms of the evidence of the dictionary's D paths, for `scores`.
+        """What `scores` needs for the two terms of the evidence of the dictionary's D paths.
 
         F is the number of frequencies of the band.
 
         Returns
         -------
-        table : complex64, (F, D, K). Multiply it with a window's spectrum at each frequency, and
-            sum the squared absolute products over the frequencies. The result is the first term of
-            the evidence: the signal that a path explains.
+        table : complex64, (F, D, K). For each frequency f, the product `table[f] @ spectrum[f]`
+            sums over the K frames. The sum of |product|^2 over all f is the first term of the
+            evidence: the signal that a path explains.
         penalties : float64, (D,): the second term of the evidence, which is subtracted. It is
             larger for a path that could also explain many other signals.
         """

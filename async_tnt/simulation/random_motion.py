@@ -21,9 +21,9 @@ WIDEST_BEND = 0.4
 """Largest distance that a motion goes sideways, as a share of its length."""
 TURNS_AT = (0.4, 0.9)
 """Range of the moment at which a motion turns round, as a share of the motion's duration."""
-TURN = np.radians(6.0)
+MOST_TURN = np.radians(6.0)
 """Largest turn of a whole motion, in radians."""
-GROWTH = 0.06
+MOST_GROWTH = 0.06
 """Largest change of the logarithm of the object's size in a whole motion."""
 
 
@@ -32,8 +32,8 @@ def random_motion(
     shares: np.ndarray,
     rng: np.random.Generator,
     *,
-    most_turn: float = TURN,
-    most_growth: float = GROWTH,
+    most_turn: float = MOST_TURN,
+    most_growth: float = MOST_GROWTH,
     back: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw a motion.

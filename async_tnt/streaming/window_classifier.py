@@ -16,7 +16,7 @@ from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.readout import cells_to_float32
 from async_tnt.networks.models.compiled import CompiledClassifier
 from async_tnt.networks.models.objects import (
-    LOGITS,
+    LOGITS_SHAPES,
     ObjectReader,
     even_places,
     logits_shape,
@@ -234,7 +234,7 @@ class WindowClassifier:
             return logits.reshape(-1)
         shape = logits_shape(logits.shape)
         if shape is None:
-            rule = f"must return logits {LOGITS}"
+            rule = f"must return logits {LOGITS_SHAPES}"
             raise ParameterValueError("classifier", rule, f"shape {logits.shape}")
         return logits.reshape(shape)
 

@@ -96,9 +96,10 @@ class Evaluation:
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
-        """Kind of nothing -> the share of windows in which a class has at least probability `SURE`.
+        """Kind of windows that show no class -> the share of them that are surely given a class.
 
-        Such decisions are wrong, as the windows show no class.
+        The kinds are the keys of `nothing`. A window is surely given a class if some class has at
+        least probability `SURE`. All these decisions are wrong.
         """
         shares = {}
         for kind, probabilities in self.nothing.items():

@@ -75,7 +75,8 @@ def hold_out_last(
 
     Returns
     -------
-    train, held_out : see `hold_out_groups`. None instead of both if recordings are not numbered.
+    train, held_out : see `hold_out_groups`. A single None is returned instead if recordings are not
+        numbered.
     """
     has_parts_of_sessions = any(file_of(name) != name for name in names)
     if has_parts_of_sessions:

@@ -337,7 +337,7 @@ def _check_manifest(manifest: Mapping[str, Any]) -> None:
     recorded = manifest["match"]["recorded"]
     resynthesized = manifest["match"]["resynthesized"]
     if recorded.keys() != resynthesized.keys():
-        raise ValueError("`match` must have the same numbers of both")
+        raise ValueError("`recorded` and `resynthesized` in `match` must have the same names")
     for name in recorded:
         real_number(name, recorded[name])
         real_number(name, resynthesized[name])
@@ -356,13 +356,15 @@ def examples(
     """
     training = motions.training
     window_us = motions.config.window_us
-    with_path = np.flatnonzero(motions.spans)
+    with_path = np.flatnonzero(motions.spans)  # a window without a path has span 0
     labels, firsts = np.unique(training.labels[with_path], return_index=True)
     # Choose classes that are spread evenly over all classes, and of each its first window with a
     # path.
     spread = np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int)
     chosen = with_path[firsts[np.unique(spread)]]
     reconstruction = Reconstruction(motions.config.sensor, window_us, motions.record["cell"])
+    # Events are also taken from the window before and from the window after, where these are among
+    # our windows: `neighbours` is 0 or 1 for each side.
     around_us = window_us * training.neighbours(window_us)
     shown = [
         _example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in chosen
@@ -383,7 +385,7 @@ def _example(
     around_us: Sequence[int],
     classes: tuple[str, ...],
 ) -> ResynthesizedWindow:
-    """Window `i`, as recorded and under its first other motions."""
+    """Window `i`, as recorded, and under at most `N_OTHERS` other motions, the first ones."""
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
     columns = motions.training.events(i, motions.config.window_us, around_us)

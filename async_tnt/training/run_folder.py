@@ -39,7 +39,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    run_folder : the folder of both files.
+    run_folder : the folder in which the checkpoint and the history are written.
     state : `identity` from `identity_of`, `history`, and what else is needed to resume.
     """
     import torch

@@ -68,7 +68,7 @@ CHUNK = 200
 """Number of recordings in a file. A process has their events in memory together. So a large sensor,
 which has fewer recordings than `RECORDINGS`, has fewer in a file, too."""
 
-PAUSE = 100
+LONGEST_PAUSE = 100
 """Longest gap between events, in windows, in which the camera counts as switched on."""
 
 N_EXAMPLES = 5
@@ -479,7 +479,7 @@ def measure_camera(
     t, x, y, p = [np.ascontiguousarray(events[name]) for name in "txyp"]
     gaps = np.diff(t, prepend=t[:1])
     # Remove the camera's pauses from the times. Otherwise a pause would count as a quiet scene.
-    t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))
+    t = t - np.cumsum(np.where(gaps > LONGEST_PAUSE * window_us, gaps, 0))
     if not len(t) or t[-1] - t[0] <= window_us:
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))

@@ -235,7 +235,10 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._complete_file()
 
     def _complete_file(self) -> None:
-        """Wait until everything is written, and give the file its name."""
+        """Wait until everything is written, and give the file its name.
+
+        Without events the new file is deleted, and an old file of that name stays.
+        """
         try:
             self._flush()
             self._stream.disconnect()
@@ -246,7 +249,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         if self._file is not None:
             if self.processor.counts.received:
                 self._file.complete()
-            self._file.discard()
+            else:
+                self._file.discard()
 
     def _flush(self) -> None:
         """Wait until everything that was logged is written.
@@ -343,7 +347,7 @@ def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
     [1060, 1120]
     """
     if window_us < step_us:
-        n_windows = -(-step_us // window_us)
+        n_windows = -(-step_us // window_us)  # rounded up
         window_us = n_windows * window_us
         step_us = window_us
     start_us = t_us - (t_us - origin_us) % window_us

@@ -191,8 +191,8 @@ def check_order(name: str, order: Any) -> None:
 def likely_order(table: np.ndarray, order: str) -> str:
     """The likely order of a table's columns: `order`, or another order with better signs.
 
-    Two signs can speak for an order, see `_signs`. Another order is returned only if no sign speaks
-    for `order` and both signs speak for the other one.
+    Two signs can speak for an order, see `_signs`. If any sign speaks for `order`, it is returned.
+    Another order is returned only if both signs speak for that order.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def compare(
 
     Parameters
     ----------
-    made : a set with all its shards.
+    moving_set : a set with all its shards.
     mnist_folder : MNIST, whose images the second column simulates.
     nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin. With None there is no
         real column, and the second column simulates images of the set.

@@ -1,4 +1,6 @@
-"""Interleaved timing of backends: call by call, and in blocks of moments.
+"""Interleaved timing of backends: call by call, and in blocks.
+
+In a block, one backend makes many decisions in a row. Call by call, the backends take turns.
 
 Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each
 network finds its weights in a slower cache than in a loop of its own. In blocks, each network has

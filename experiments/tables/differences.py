@@ -13,7 +13,7 @@ from experiments.tables.parts import results, table
 from experiments.thesis.numbers import LEVEL, cell, in_order, signed
 from experiments.thesis.rows import QUESTIONS, ROWS, SETS
 
-DIFFERENCES = ("all/all", "1/others", "all/sim", "1/sim", "all/bell", "1/bell")
+SHOWN_COLUMNS = ("all/all", "1/others", "all/sim", "1/sim", "all/bell", "1/bell")
 """Columns of the table `differences`, each as "trained on/tested on"."""
 
 BASELINE = "thesis-baseline"
@@ -87,17 +87,17 @@ def differences() -> str:
         measured_pairs = [
             pair
             for pair in pairs
-            if any((*pair, column) in difference_by_pair for column in DIFFERENCES)
+            if any((*pair, column) in difference_by_pair for column in SHOWN_COLUMNS)
         ]
         if measured_pairs:
-            body.append([f"*{question}*", *[""] * len(DIFFERENCES)])
+            body.append([f"*{question}*", *[""] * len(SHOWN_COLUMNS)])
         for row, against in measured_pairs:
             cells = []
-            for column in DIFFERENCES:
+            for column in SHOWN_COLUMNS:
                 difference = difference_by_pair.get((row, against, column))
                 cells.append("-" if difference is None else _with_interval(difference))
             body.append([_pair(row, against), *cells])
-    return table(["difference", *DIFFERENCES], body)
+    return table(["difference", *SHOWN_COLUMNS], body)
 
 
 def conclusions() -> str:

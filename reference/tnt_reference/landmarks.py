@@ -106,9 +106,11 @@ def fitted_flow(
         C_xf = sum_j (x_j - mean_x) (f_j - mean_f)
         C_ff = sum_j (f_j - mean_f)^2
 
-    with all sums over j = 1..i. The 1, in units of squared windows, is a ridge. With few events,
-    for which the plain fit would be ill-posed, the slope goes to 0 and the intercept goes to the
-    running centroid.
+    with all sums over j = 1..i. f_j is the time of event j since the window's start, as a fraction
+    of the window. y is fitted in the same way.
+
+    The 1, in units of squared windows, is a ridge. With few events, for which the plain fit would
+    be ill-posed, the slope goes to 0 and the intercept goes to the running centroid.
 
     Parameters
     ----------

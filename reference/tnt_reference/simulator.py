@@ -122,9 +122,10 @@ def _next_crossing(
 ) -> tuple[float, float, int] | None:
     """Time, log luminance and polarity of the event where the light reaches `upper` or `lower`.
 
-    None if the light reaches neither `upper` nor `lower` until t1.
+    The light goes from l0 at t0 to l1 at t1, in a straight line. It is `light_now` at the time
+    `now`. None if it reaches neither `upper` nor `lower` until t1.
     """
-    # The light can be past a threshold already only if the first level was far from the light.
+    # The light is past a threshold already only if the pixel's initial level was far from it.
     if light_now >= upper:
         return now, light_now, 1
     if light_now <= lower:

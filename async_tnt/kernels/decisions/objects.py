@@ -232,7 +232,10 @@ def _follow_changes(program, bits, maps, about, scores, peaks):
 
 @compiled
 def _changed_bits(program, bits, sources, first, last, word):
-    """A bit for each column of a word where one of the rows from `first` to `last` has changed."""
+    """The columns that have changed in any of the rows `first` to `last`, as bits.
+
+    Bit k stands for column 64 `word` + k.
+    """
     changed = np.uint64(0)
     for record in sources:
         begin = max(first, program[record + FIRST_ROW])

@@ -47,7 +47,8 @@ def mix(program, at, n, weights, maps, places, bits):
     n_groups = program[at + P.GROUPS]
     channels = program[at + P.OUT_CHANNELS]
     columns = program[at + P.COLUMNS]
-    most_places = MOST_PLACES[min((channels + LANES - 1) // LANES, REGISTERS) - 1]
+    n_registers = (channels + LANES - 1) // LANES  # rounded up
+    most_places = MOST_PLACES[min(n_registers, REGISTERS) - 1]
     n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
     # The last tile may have one place too many: it computes the last one twice.
     places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]
@@ -93,6 +94,7 @@ def mix(program, at, n, weights, maps, places, bits):
                     n_filters,
                 )
                 # The block holds the products, a bias and a slope of each filter, and the limits.
+                # The filters are rounded up to whole registers.
                 padded = (n_filters + LANES - 1) // LANES * LANES
                 block += (n_products + 2) * padded + LANES
 
@@ -142,8 +144,10 @@ def _tile_size(n, most):
 def _note_density(program, at, n_inputs, n_products):
     """Decide how many tiles come before the next one whose zeros are looked for.
 
-    Looking takes as long as about an eighth of the sum. Dense tiles often lie side by side, so each
-    dense tile that was looked at doubles the pause. The first other one ends it.
+    Looking for zeros takes about an eighth of the time that computing the tile takes. A tile is
+    dense if more than 7 of 8 of its inputs (`n_inputs` of `n_products`) are not 0 at one place or
+    more. Dense tiles often lie side by side. So each dense tile that was looked at about doubles
+    the pause: 1, 3, 7 and so on. A tile that is not dense ends the pause.
     """
     pause = np.int64(0)
     if 8 * n_inputs > 7 * n_products:

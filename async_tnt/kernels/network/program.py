@@ -78,7 +78,9 @@ FIRST_STEP = 26  # where the record of the first step begins
 # a step's record
 KIND = 0  # MIX, SUM, MAXIMUM, FUNCTION or SPREAD
 N_SOURCES = 1  # how many maps it reads
-SOURCES = 2  # where in the program their list lies: of each, where the record of its changes begins
+# Where in the program a list of these maps lies. For each map it has the place where the record of
+# the map's changes begins.
+SOURCES = 2
 KERNEL_Y = 3  # rows of a source that a place sees, `DILATION_Y` apart
 KERNEL_X = 4
 STRIDE_Y = 5

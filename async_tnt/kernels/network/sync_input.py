@@ -90,7 +90,10 @@ def _copy_pixel(program, maps, y, x):
 
 @inlined
 def _copy_row(program, maps, y):
-    """Copy all pixels of a row: plane by plane, which is faster than pixel by pixel."""
+    """Copy a row from the planes to the input.
+
+    It is copied plane by plane, which is faster than pixel by pixel.
+    """
     width = program[P.WIDTH]
     n_channels = program[P.CHANNELS]
     for c in range(n_channels):

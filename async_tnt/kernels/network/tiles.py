@@ -9,8 +9,8 @@ lies behind them in memory is written as it was.
 A MIX leaves inputs out that are 0 at every place of a tile: behind a ReLU most of them are. Their
 products are 0 or -0, as weights are finite, and could change a sum from -0 to 0 only. So 0 is added
 last, which does the same to every -0. Where few inputs are 0, looking for them costs more than it
-saves, and the next tiles are computed from all inputs. A step with a weight that is not finite
-always is: 0 times that weight is nan.
+saves, and the next tiles are computed from all inputs. A step with a weight that is not finite is
+always computed from all inputs: 0 times that weight is nan.
 
 The tiles take more than eight arguments: those of a vectorized kernel are plain numbers and arrays.
 """
@@ -116,7 +116,7 @@ def mix_tile_plain(
     int : bit p is set if the bits of place p differ from what was there.
     """
     words = maps.view(np.uint32)
-    size = (n_filters + LANES - 1) // LANES * LANES
+    size = (n_filters + LANES - 1) // LANES * LANES  # the filters, in whole registers
     bias = block + program[at + P.N_RUNS] * program[at + P.RUN_LENGTH] * size
     changed = np.int64(0)
     for p in range(n_places):
@@ -185,7 +185,7 @@ def channel_tile_plain(program, at, places, listed, maps, weights):
     channels = program[at + P.OUT_CHANNELS]
     n_taps = program[at + P.N_RUNS]
     taps = program[at + P.RUNS]
-    size = (channels + LANES - 1) // LANES * LANES
+    size = (channels + LANES - 1) // LANES * LANES  # the channels, in whole registers
     y = np.int64(places[listed]) >> 16
     x = np.int64(places[listed]) & 0xFFFF
     place = y * program[at + P.COLUMNS] + x
@@ -224,8 +224,8 @@ def channel_tile(simd, program, at, places, listed, maps, weights):
 class _Tile:
     """Builds what the instructions of all tiles have in common.
 
-    Parameters are those of `mix_tile`. `inputs` and `output` are None where the step's record says
-    where the map is read and written.
+    Parameters are those of `mix_tile`. If `inputs` or `output` is None, it is taken from the step's
+    record.
     """
 
     def __init__(self, simd, program, at, places, listed, maps, inputs, output):

@@ -239,7 +239,8 @@ def _unsign(p, n):
 def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     """Copy records of any kinds of numbers into the columns.
 
-    Returns False if a number does not fit its column, which narrowing it would hide.
+    Returns False if a place is off the sensor or a polarity is not -1, 0 or 1. This is tested
+    before the numbers are narrowed, which could make them look valid.
     """
     size = layout[RECORD_SIZE]
     fits = True

@@ -397,9 +397,9 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
 
 
 class VolumeInput:
-    """Passes volumes to a kernel in the form of `TNTVolume.array`.
+    """Brings volumes into one form, that of `TNTVolume.array`: float32, contiguous, read-only.
 
-    The kernel is then compiled for this one form only.
+    So a kernel is compiled for this form only.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:

@@ -21,7 +21,7 @@ from async_tnt.volume.config import TNTConfig
 REACH = 4
 """How many places an object may move between two decisions and still be the same object."""
 
-LOGITS = "(1, n_classes), or a map (1, n_classes + 1, R, C)"
+LOGITS_SHAPES = "(1, n_classes), or a map (1, n_classes + 1, R, C)"
 """The shapes of a network's answer, for messages."""
 
 
@@ -122,7 +122,8 @@ class ObjectReader:
         self.probabilities = np.empty((len(self.found), channels))
         # the scores and peaks of a map of zeros
         scores = np.zeros((rows, columns))
-        peaks = np.zeros((rows, -(-columns // 64)), np.uint64)
+        n_words = -(-columns // 64)  # rounded up: a bit for each column
+        peaks = np.zeros((rows, n_words), np.uint64)
         self.arrays = (about, scores, peaks, self.probabilities, self.found)
 
     def read(self, logits: np.ndarray, tracks: np.ndarray, time_us: int, keep: bool) -> int:
@@ -142,9 +143,13 @@ class ObjectReader:
 def most_objects(rows: int, columns: int) -> int:
     """The largest number of objects on a map.
 
-    It is limited because two peaks are more than `NEAR` places apart.
+    It is limited because two peaks are more than `NEAR` places apart, in y or in x. So a block of
+    (NEAR + 1) x (NEAR + 1) places has at most one peak.
     """
-    return math.prod(-(-side // (K.NEAR + 1)) for side in (rows, columns))
+    # rounded up
+    rows_of_blocks = -(-rows // (K.NEAR + 1))
+    columns_of_blocks = -(-columns // (K.NEAR + 1))
+    return rows_of_blocks * columns_of_blocks
 
 
 def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from async_tnt.base.checks import ParameterTypeError, positive_int
 from async_tnt.base.extras import needs_extra
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.models.model import Model
-from async_tnt.networks.models.objects import LOGITS, Places, logits_shape
+from async_tnt.networks.models.objects import LOGITS_SHAPES, Places, logits_shape
 
 if TYPE_CHECKING:
     import tnt_reference
@@ -133,7 +133,8 @@ class TorchClassifier:
             shape = logits_shape(tuple(logits.shape))
             if shape is None:
                 raise ValueError(
-                    f"the module must return logits {LOGITS}, got shape {tuple(logits.shape)}"
+                    f"the module must return logits {LOGITS_SHAPES}, got shape "
+                    f"{tuple(logits.shape)}"
                 )
             answer: np.ndarray = logits.reshape(shape).to("cpu", torch.float32).numpy()
         return answer.copy()  # the module may keep its tensor

@@ -17,7 +17,7 @@ from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.base.messages import one_line
 from async_tnt.base.running import Running, one_at_a_time
-from async_tnt.networks.models.objects import LOGITS, Places, logits_shape, places_of
+from async_tnt.networks.models.objects import LOGITS_SHAPES, Places, logits_shape, places_of
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.volume.config import TNTConfig
 
@@ -139,8 +139,8 @@ class OnnxClassifier:
         shape_read = logits_shape(answer.shape)
         if shape_read is None:
             raise ValueError(
-                f"{self._name}: the network must give logits {LOGITS}, of a volume, got shape "
-                f"{answer.shape}"
+                f"{self._name}: the network must give logits {LOGITS_SHAPES}, of a volume, got "
+                f"shape {answer.shape}"
             )
         answer = np.zeros(answer.shape, np.float32)
         binding = self._session.io_binding()
@@ -321,7 +321,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, in
 def _check_output(outputs: list[Any]) -> None:
     """Refuse a network that does not have one output of float32."""
     if len(outputs) != 1 or outputs[0].type != "tensor(float)":
-        wanted = f"one output, logits {LOGITS}, tensor(float)"
+        wanted = f"one output, logits {LOGITS_SHAPES}, tensor(float)"
         raise ValueError(f"the network must have {wanted}; got {_listed(outputs)}")
 
 

@@ -372,12 +372,13 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
     has_pixel[is_vector] = value[is_vector, None] >> np.arange(8) & 1
     time_us = _latest(value, kind == TIME_HIGH) << 12 | _latest(value, kind == TIME_LOW)
 
-    # each vector after a base moves the base by 8 pixels
-    n_vectors = np.cumsum(is_vector) - is_vector
+    # Each vector after a base moves the base by 8 pixels. So a vector lies 8 pixels above its base
+    # for each vector between the two. The word itself does not count.
+    n_vectors_before = np.cumsum(is_vector) - is_vector
     is_base = kind == VECT_BASE_Y
     base_value = _latest(value, is_base)
     y = np.where(is_event, value, base_value) & 0x7FF
-    n_since_base = n_vectors - _latest(n_vectors, is_base)
+    n_since_base = n_vectors_before - _latest(n_vectors_before, is_base)
     y += np.where(is_vector, 8 * n_since_base, 0)
     polarity = np.where(is_event, value, base_value) >> 11
 

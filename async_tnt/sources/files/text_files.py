@@ -462,6 +462,8 @@ def _checked_sides(path: Path, words: list[str], text: str) -> Sensor:
     ------
     ValueError : the words are not the sides of a sensor; the message quotes the line's `text`.
     """
+    # `sides` lacks each word that is no number, or far too long for a side. `int` would refuse a
+    # word of thousands of digits with a message of its own.
     decimals = [word for word in words if word.strip().isdecimal()]
     sides = [int(word) for word in decimals if len(word) < 20]
     if len(words) != 2 or len(sides) != 2 or not all(1 <= side <= MAX_SIDE for side in sides):
