@@ -23,11 +23,11 @@ from experiments.objects.pairs import SENSOR, write
 from experiments.scripts.options import (
     add_count,
     add_folder,
-    earlier_report,
+    earlier_parts,
     exit_with,
     print_tables,
     script_parser,
-    write_outputs,
+    write_part,
 )
 from experiments.scripts.processes import command
 from experiments.speed.timing import machine
@@ -85,13 +85,13 @@ def main(argv: list[str] | None = None) -> int:
     folders = {name: getattr(args, name) for name in SETS if getattr(args, name) is not None}
     if args.quick == bool(folders):
         parser.error(f"give --quick, or one of --{', --'.join(SETS)}")
-    report = earlier_report(args, {"sets": {}})
+    report = earlier_parts(args)
     for name, folder in folders.items():
-        report["sets"][name] = measure(folder, name, args.seeds, args.out, SETS[name])
-        write_outputs(args, report)
+        report[name] = measure(folder, name, args.seeds, args.out, SETS[name])
+        write_part(args, name, report[name])
     if args.quick:
-        report["sets"]["made"] = _quick()
-        write_outputs(args, report)
+        report["made"] = _quick()
+        write_part(args, "made", report["made"])
     print_tables(report, "bare")
     return 0
 

@@ -15,7 +15,6 @@ times are measured.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,15 +30,16 @@ from async_tnt.volume.sensor import format_size
 from experiments.objects.pairs import SENSOR, write
 from experiments.scripts.options import (
     add_count,
-    earlier_report,
+    earlier_parts,
     exit_with,
     run_script,
     script_parser,
-    write_outputs,
+    write_part,
 )
 from experiments.scripts.processes import command
 from experiments.speed.every_event import bench_every_event
 from experiments.speed.timing import interleave, machine, spread, work_clock
+from experiments.tables.datasets import SIZES, recipes_of
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
 """Options of `train` in the recipe that was found on held-out training recordings."""
@@ -93,16 +93,8 @@ RECIPES = {
 }
 """Name of a recipe -> its options besides the sensor's size. The first recipe is drawn."""
 
-N_CARS = {
-    "title": "N-CARS",
-    "shown_ms": ("10", "20", "30", "50", "100"),
-    # accuracy of other methods on complete recordings; docs/results.md names the sources
-    "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},
-}
-"""Entries of the report that belong to N-CARS, not to a recipe."""
-
-MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
-"""The same entries for the made set of --quick."""
+OTHERS = {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945}
+"""Accuracy of other methods on complete recordings of N-CARS. docs/results.md names the sources."""
 
 TIMED = 12
 """Largest number of recordings of the test part on which times are measured."""
@@ -114,7 +106,7 @@ SMOOTHED = 2.0
 def measure(
     folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE
 ) -> dict[str, Any]:
-    """The report of one recipe, with a trained and tested network for each seed.
+    """The numbers of one recipe, with a trained and tested network for each seed.
 
     common : options of every recipe.
     """
@@ -127,29 +119,12 @@ def measure(
             arguments = [*options.split(), "--seed", seed, "--out", models[-1]]
             command("train", folder / TRAIN, *arguments, "--json")
             bar.update()
-    recipe_report = {
+    return {
         "command": f"async-tnt train {TRAIN} {options}",
         "tests": [_tested(path, folder / TEST) for path in models],
         **_costs(models[0], folder / TEST),
         "machine": machine("torch"),
     }
-    return {
-        **N_CARS,
-        "by_crop_size": by_crop_size(folder / TRAIN, folder / TEST),
-        "recipes": {recipe: recipe_report},
-    }
-
-
-def with_earlier(
-    report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]
-) -> dict[str, Any]:
-    """A report that keeps the recipes of an earlier report, except those measured again.
-
-    The recipes that `order` names come first, in that order.
-    """
-    recipes = before["recipes"] | report["recipes"]
-    names = [name for name in dict.fromkeys([*order, *recipes]) if name in recipes]
-    return {**report, "recipes": {name: recipes[name] for name in names}}
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
@@ -163,14 +138,12 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
 
 
-@cache
 def by_crop_size(train: Path, test: Path) -> float:
     """The test accuracy that the width and the height of recordings alone give.
 
     Each training recording votes for its class, at its own size and at sizes near it. A test
     recording gets the class with most votes at its size. A network could reach this accuracy by
-    the size of the crops, without looking at any object. The number is the same for all recipes,
-    so it is computed once.
+    the size of the crops, without looking at any object.
     """
     training_sizes = _sizes(train)
     test_sizes = _sizes(test)
@@ -247,13 +220,14 @@ def _costs(path: Path, test: Path) -> dict[str, Any]:
 
 def draw(report: dict[str, Any]) -> Any:
     """Draw accuracy against time, and against the time until a confidence is reached."""
-    tests = next(iter(report["recipes"].values()))["tests"]
+    tests = next(iter(recipes_of(report).values()))["tests"]
     end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
-    headline(figure, f"{report['title']}, test part, {len(tests)} networks")
+    headline(figure, f"Test part, {len(tests)} networks")
     time_axes = axes_at(figure, LEFT, TOP, WIDTH, SIDE)
     level_axes = axes_at(figure, LEFT + STEP, TOP, WIDTH, SIDE)
-    _draw_time(time_axes, tests, report["others"], end_ms)
+    # others are known for N-CARS, not for a made set, which has no table of crops
+    _draw_time(time_axes, tests, OTHERS if SIZES in report else {}, end_ms)
     _draw_levels(level_axes, tests)
     for axes in (time_axes, level_axes):
         axes.set_ylim(0.5, 1.02)
@@ -342,26 +316,26 @@ def main(argv: list[str] | None = None) -> int:
     def measure_recipes(quick: bool) -> dict[str, Any]:
         if quick:
             return _quick()
-        report: dict[str, Any] = {}
+        report = earlier_parts(args)
+        share = by_crop_size(args.folder / TRAIN, args.folder / TEST)
+        report[SIZES] = {"accuracy": share, "machine": machine()}
+        write_part(args, SIZES, report[SIZES])
         for name in args.recipes:
-            recipe_report = measure(args.folder, args.out, name, args.seeds)
-            # another run may have changed the file in the meantime
-            report = earlier_report(args, report)
-            report = with_earlier(recipe_report, report, list(RECIPES)) if report else recipe_report
-            write_outputs(args, report)  # before the next recipe's hours
+            report[name] = measure(args.folder, args.out, name, args.seeds)
+            write_part(args, name, report[name])  # before the next recipe's hours
         return report
 
-    return run_script(parser, argv, measure_recipes, "cars", draw)
+    return run_script(parser, argv, measure_recipes, "cars", draw, is_written=True)
 
 
 def _quick() -> dict[str, Any]:
-    """The report of a small made set."""
+    """The report of one recipe on a small made set."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         for part, n, seed in ((TRAIN, 6, 0), (TEST, 3, 1)):
             write(folder / part, n, (0.0,), seed)
         options = f"--sensor {format_size(SENSOR)} --epochs 1"
-        return measure(folder, folder / "models", "bare", 1, options) | MADE
+        return {"bare": measure(folder, folder / "models", "bare", 1, options)}
 
 
 if __name__ == "__main__":

@@ -48,11 +48,11 @@ from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
-    earlier_report,
+    earlier_parts,
     exit_with,
     print_tables,
     script_parser,
-    write_outputs,
+    write_part,
 )
 from experiments.scripts.processes import command
 from experiments.speed.timing import machine
@@ -244,7 +244,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.made:
         folders["made"] = out / "recordings"
         made.write_recordings(folders["made"] / "Test", 30, 1)
-    report = earlier_report(args, {"sets": {}})
+    report = earlier_parts(args)
     for name, folder in folders.items():
         pictures = out / name
         write_pictures(name, pictures, args.mnist, 20 if args.quick else args.pictures, args.fonts)
@@ -253,14 +253,12 @@ def main(argv: list[str] | None = None) -> int:
             link_official(folder, out)
             folder = out
         parts = [folder / part for part in TESTS[name]]
-        report["sets"][name] = measure(name, pictures, parts, seeds, out / "models", more)
+        report[name] = measure(name, pictures, parts, seeds, out / "models", more)
         if name == "nmnist":
             mnist = data_folder(args.mnist, "mnist", "--mnist")
             n_images = 5 if args.quick else 1_000
-            report["sets"][name]["simulated"] = test_moving(
-                report["sets"][name]["networks"], out, mnist, n_images
-            )
-        write_outputs(args, report)
+            report[name]["simulated"] = test_moving(report[name]["networks"], out, mnist, n_images)
+        write_part(args, name, report[name])
     print_tables(report, "from_pictures")
     return 0
 

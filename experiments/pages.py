@@ -13,9 +13,9 @@ import re
 from collections.abc import Callable
 
 from async_tnt.base.files import write_text
+from experiments.records.run import ROOT
 from experiments.scripts.options import exit_with, plain_parser
 from experiments.tables import accuracy, datasets, decisions, differences, sections, thesis
-from experiments.tables.parts import ROOT
 
 SHORT = (
     accuracy.accuracy,

@@ -42,11 +42,11 @@ from experiments.scripts.options import (
     add_count,
     add_folder,
     add_json,
-    earlier_report,
+    earlier_parts,
     exit_with,
     plain_parser,
     print_tables,
-    write_outputs,
+    write_part,
 )
 from experiments.speed.timing import machine
 
@@ -163,7 +163,7 @@ def main(argv: list[str] | None = None) -> int:
         name for name in SETS if name == "sessions" or getattr(args, name) is not None
     ]
     names = args.sets or sets_with_folder
-    report = earlier_report(args, {"sets": {}}) | {"machine": machine("torch")}
+    report = earlier_parts(args)
     for name in names:
         _measure_set(name, args, report)
     print_tables(report, "recipes")
@@ -171,20 +171,19 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _measure_set(name: str, args: argparse.Namespace, report: dict[str, Any]) -> None:
-    """Measure the candidates that the report does not have yet. Writes the report after each."""
+    """Measure the candidates and seeds that the report does not have yet, and write each."""
     folder = args.out / "sessions" if name == "sessions" else getattr(args, name)
     if folder is None:
         raise FileNotFoundError(f"no folder of {name}: give --{name}")
     data = SETS[name](folder, default_config())
-    candidate_rows = report["sets"].setdefault(name, {})
     for candidate in args.candidates:
-        rows_by_seed = {row["seed"]: row for row in candidate_rows.get(candidate, [])}
         for seed in range(args.seeds):
-            if seed not in rows_by_seed:
+            part = f"{name}, {candidate}, seed {seed}"
+            if part not in report:
                 run_folder = args.out / name / f"{candidate}{seed}".replace(" ", "_")
-                rows_by_seed[seed] = measure(name, data, CANDIDATES[candidate], seed, run_folder)
-                candidate_rows[candidate] = [rows_by_seed[k] for k in sorted(rows_by_seed)]
-                write_outputs(args, report)
+                numbers = measure(name, data, CANDIDATES[candidate], seed, run_folder)
+                report[part] = {"set": name, "candidate": candidate, **numbers}
+                write_part(args, part, {**report[part], "machine": machine("torch")})
 
 
 if __name__ == "__main__":

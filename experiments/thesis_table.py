@@ -14,17 +14,11 @@ from typing import Any
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import check_folder, write_text
 from async_tnt.base.package import available_cores
-from async_tnt.cli.options import command_words, positive_int, whole_number
+from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.training.settings import TrainSettings
-from experiments.scripts.options import (
-    add_folder,
-    data_folder,
-    exit_with,
-    plain_parser,
-    writable_file,
-)
-from experiments.tables.parts import read_json
+from experiments.records.run import command_line
+from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 from experiments.thesis.rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
 DESCRIPTION = f"""\
@@ -63,7 +57,7 @@ examples:
     python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows raw line --seeds 0 1 \\
         --images 100
   the pages' results, rows at a time:
-    python -m experiments.thesis_table --rows raw-span raw --into experiments/results/table.json
+    python -m experiments.thesis_table --rows raw running --into experiments/results/thesis
 """
 
 SMOKE_ITERATIONS = 30
@@ -158,12 +152,11 @@ def _add_results(group: argparse._ArgumentGroup) -> None:
         "--out",
         "networks, results.json, table.md (default: table; with --smoke: table-smoke)",
     )
-    group.add_argument(
+    add_folder(
+        group,
         "--into",
-        type=writable_file,
-        metavar="FILE",
-        help="put the results into this one, too, which has those of other rows: "
-        "experiments/results/table.json",
+        "also put the result of each network there, as soon as it is trained and tested: "
+        "experiments/results/thesis, which has those of other rows",
     )
     group.add_argument("--json", action="store_true", help="print the results as one JSON object")
 
@@ -187,8 +180,9 @@ def main(argv: list[str] | None = None) -> int:
 
     check_folder(args.out, ("results.json", "table.md"))
     if args.into is not None:
-        # a wrong file is refused now, not after hours of training
-        read_json(args.into)
+        # refused now, not after hours of training
+        check_folder(args.into, ())
+        args.into.mkdir(parents=True, exist_ok=True)
     record, seconds = _measured(runs, args)
     _write(record, args)
     if args.json:
@@ -213,12 +207,12 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
 
 
 def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any], float]:
-    """The record of the trained and tested networks, and the seconds that they took."""
+    """The tables of the trained and tested networks, and the seconds that they took."""
     import torch
 
     from experiments.thesis.data import RealFolder, make_set
-    from experiments.thesis.record import record_of
-    from experiments.thesis.runs import right_of, run_networks
+    from experiments.thesis.runs import run_networks
+    from experiments.thesis.table import table_of
 
     # a missing or damaged file is refused before anything is trained
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
@@ -239,34 +233,20 @@ def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any]
     networks = args.out / "networks"
     settings = TrainSettings(iterations=args.iterations, batch=args.batch)
     started = time.monotonic()
-    results = run_networks(runs, real, simulated, settings, networks, workers)
-    command = command_words(
-        "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
-        args,
-        add_arguments,
-        leave_out=("into", "json", "workers"),
-    )
-    record = record_of(
-        runs,
-        results,
-        right_of(results, networks),
-        data,
-        simulated,
-        iterations=args.iterations,
-        command=command,
-    )
+    command = command_line(args.module)
+    results = run_networks(runs, real, simulated, settings, networks, workers, command, args.into)
+    record = {
+        "data": data.description,
+        "seeds": list(dict.fromkeys(run.seed for run in runs)),
+        **table_of(result["numbers"] for result in results),
+    }
     return record, time.monotonic() - started
 
 
 def _write(record: dict[str, Any], args: argparse.Namespace) -> None:
-    """Write the files of --out and --into."""
-    from experiments.thesis.merge import merged
-
+    """Write the files of --out."""
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
     write_text(args.out / "table.md", _tables(record) + "\n")
-    if args.into is not None:
-        earlier_record = read_json(args.into)
-        write_text(args.into, json.dumps(merged(earlier_record, record), indent=1) + "\n")
 
 
 def _tables(record: dict[str, Any]) -> str:
@@ -314,7 +294,7 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
         f"N-MNIST: {data['training_recordings']} recordings to train on, "
         f"{data['held_out_recordings']} held out, {data['test_recordings']} to test on; the split "
         f"is {data['split']}.",
-        f"{', '.join(data['simulated'])}: 30 simulated motions each of {args.images} MNIST test "
+        f"{', '.join(SETS)}: 30 simulated motions each of {args.images} MNIST test "
         "images that no training recording shows.",
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} "
         "minutes)",

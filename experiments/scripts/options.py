@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -12,12 +11,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
-from async_tnt.base.files import check_writable, write_text
+from async_tnt.base.files import check_writable
 from async_tnt.base.messages import printable
 from async_tnt.cli.options import positive_int
 from async_tnt.views.figure_style import check_picture, save, styled
+from experiments.records.files import add_result, read_numbers, result_of, write_result
+from experiments.records.run import command_line, commit
 from experiments.speed.interleaved import WorkDiffers
-from experiments.tables.parts import REPORT_OF, Table, read_json
+from experiments.tables.parts import REPORT_OF, Table
 
 
 def writable_file(text: str, check: Callable[[Path], object] = check_writable) -> Path:
@@ -39,14 +40,21 @@ def plain_parser(
 ) -> argparse.ArgumentParser:
     """The parser of `python -m experiments.NAME`.
 
-    Its help shows description and epilog as they are, without new line breaks.
+    Its help shows description and epilog as they are, without new line breaks. Options that it
+    parses have the attribute `module`, the words `experiments.NAME`.
     """
-    return argparse.ArgumentParser(
-        prog=f"python -m experiments.{name}",
+    # Results name the commit of the code as it is now. When they are written, hours later, the
+    # checkout may have another one.
+    commit()
+    module = f"experiments.{name}"
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {module}",
         description=description,
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(module=module)
+    return parser
 
 
 def picture_parser(name: str, description: str | None) -> argparse.ArgumentParser:
@@ -87,36 +95,48 @@ def run_script(
     measure: Callable[[bool], dict[str, Any]],
     name: str,
     draw: Callable[[Any], Any] | None = None,
+    *,
+    is_written: bool = False,
 ) -> int:
     """Measure a report or read it, print its tables, and write JSON and the picture if asked.
 
     measure : makes the report; called with True for --quick.
     name : name of the report, see `REPORT_OF`.
     draw : makes the picture of a report.
+    is_written : whether `measure` itself writes the parts of the report as they are ready.
 
     Returns the exit code: 1 if backends do not give the same results.
     """
     args = parser.parse_args(argv)
     try:
         source = getattr(args, "source", None)
-        report = read_json(source) if source else measure(args.quick)
+        report = read_numbers(source) if source else measure(args.quick)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     except WorkDiffers as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
     # The files are written before the tables are printed, because measuring took minutes, and
-    # printing may fail.
-    write_outputs(args, report, draw)
+    # printing may fail. A report that was read is not written again: its numbers are not new.
+    if source is None and not is_written:
+        write_outputs(args, report)
+    if draw is not None and args.picture:
+        draw_into(args.picture, draw, report)
     print_tables(report, name)
     return 0
 
 
-def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str, Any]:
-    """The report that the file of --json has, or `report` if there is no such file."""
+def earlier_parts(args: argparse.Namespace) -> dict[str, Any]:
+    """Name -> numbers, of the results in the file of --json. There may be no such file."""
     if args.json and args.json.exists():
-        return read_json(args.json)
-    return report
+        return read_numbers(args.json)
+    return {}
+
+
+def write_part(args: argparse.Namespace, name: str, numbers: dict[str, Any]) -> None:
+    """Add a named result to the file of --json, if it is given, and keep the file's others."""
+    if args.json:
+        add_result(args.json, name, result_of(numbers, command_line(args.module)))
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
@@ -146,14 +166,10 @@ def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]
             yield prefix + name, value
 
 
-def write_outputs(
-    args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None
-) -> None:
-    """Write the files of --json and --picture."""
+def write_outputs(args: argparse.Namespace, report: dict[str, Any]) -> None:
+    """Write the file of --json, if it is given, with `report` as its only result."""
     if args.json:
-        write_text(args.json, json.dumps(report, indent=1) + "\n")
-    if draw is not None and args.picture:
-        draw_into(args.picture, draw, report)
+        write_result(args.json, result_of(report, command_line(args.module)))
 
 
 def draw_into(path: Path, draw: Callable[..., Any], *arguments: Any, dpi: int = 100) -> None:

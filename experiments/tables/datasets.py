@@ -13,19 +13,29 @@ from experiments.thesis.numbers import cell, summary, with_range
 from experiments.thesis.numbers import short as three_digits
 from experiments.thesis.rows import IMAGES
 
+SHOWN_MS = ("5", "10", "20", "30", "50", "100")
+"""Times of `cars`, in milliseconds. Times at which networks were not tested are left out."""
+
 SHORT_MS = ("10", "30", "100")
 """Times of `cars_in_short`, in milliseconds since a recording's first event."""
 
 EQUAL_MS = ("10", "30", "50", "100")
 """Times of `representations`, in milliseconds."""
 
+SIZES = "crop sizes"
+"""Name of the result of `by_crop_size` among those of the recipes of N-CARS."""
+
 REPRESENTATIONS = {
     "volume": ("event volume", "raw-translated"),
     **{name: (f"TNT, `{name}`", f"{name}-translated") for name in LANDMARKS},
     **{name: (title.partition(",")[0], f"{name}-translated") for name, title in IMAGES.items()},
-    "hats": ("HATS", "hats-translated"),  # measured by an earlier version
 }
 """Recipe of N-CARS, without `equal_` -> its title, and its row of the thesis' table."""
+
+
+def recipes_of(report: dict[str, Any]) -> dict[str, Any]:
+    """The results of N-CARS that belong to a recipe. The first one is drawn."""
+    return {name: result for name, result in report.items() if name != SIZES}
 
 
 @of_report("cars")
@@ -34,9 +44,11 @@ def cars(report: dict[str, Any]) -> str:
 
     It has the mean over the networks and their standard deviation.
     """
-    shown = report["shown_ms"]
+    recipes = recipes_of(report)
+    tested_ms = next(iter(recipes.values()))["tests"][0]["against_time_ms"]
+    shown = [ms for ms in SHOWN_MS if ms in tested_ms]
     rows = []
-    for name, recipe in report["recipes"].items():
+    for name, recipe in recipes.items():
         if name.startswith("equal_"):
             continue
         curves = [test["against_time_ms"] for test in recipe["tests"]]
@@ -47,8 +59,9 @@ def cars(report: dict[str, Any]) -> str:
         rows.append(
             [f"`{options}`" if options else "none", str(len(curves)), *cells, f"{rate:,.0f}"]
         )
-    by_size = ["-"] * (len(shown) - 1) + [three_digits(report["by_crop_size"])]
-    rows.append(["none: width and height of the crop alone", "-", *by_size, "-"])
+    if SIZES in report:
+        by_size = ["-"] * (len(shown) - 1) + [three_digits(report[SIZES]["accuracy"])]
+        rows.append(["none: width and height of the crop alone", "-", *by_size, "-"])
     times = [f"{ms} ms" for ms in shown]
     return table(
         ["other options", "networks", *times, "decisions a second, one after every event"], rows
@@ -61,7 +74,7 @@ def cars_confidence(report: dict[str, Any]) -> str:
 
     The numbers are means over the networks of the first recipe.
     """
-    tests = next(iter(report["recipes"].values()))["tests"]
+    tests = next(iter(recipes_of(report).values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
         # a level that no window of a network reaches is left out
@@ -88,7 +101,7 @@ def cars_confidence(report: dict[str, Any]) -> str:
 
 def cars_in_short() -> str:
     """README's table of N-CARS: accuracies of the recipe `tuned`, and its decisions a second."""
-    recipe = results("cars")["recipes"]["tuned"]
+    recipe = results("cars")["tuned"]
     tests = recipe["tests"]
     shares = [_mean([test["against_time_ms"][ms] for test in tests]) for ms in SHORT_MS]
     rate = f"{recipe['every_event']['a_second']:,.0f}"
@@ -112,7 +125,7 @@ def representations() -> str:
     Accuracies are means over the networks, with their standard deviation.
     """
     nmnist = results("table")["table"]
-    recipes = results("cars")["recipes"]
+    recipes = results("cars")
     rows = []
     measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]
     for name, (title, row) in REPRESENTATIONS.items():
@@ -133,7 +146,7 @@ def representations() -> str:
 def bare(report: dict[str, Any]) -> str:
     """A table of the accuracy of `train` without options: means and standard deviations."""
     rows = []
-    for entry in report["sets"].values():
+    for entry in report.values():
         rows.append([entry["title"], *_tested(entry)])
     return table(["data set", "networks", "windows", "recordings"], rows)
 
@@ -142,7 +155,7 @@ def bare(report: dict[str, Any]) -> str:
 def from_pictures(report: dict[str, Any]) -> str:
     """A table of the accuracy of `train` on pictures alone: means and standard deviations."""
     rows = []
-    for entry in report["sets"].values():
+    for entry in report.values():
         options = entry["command"].partition("PICTURES ")[2]
         rows.append(
             [entry["title"], f"`{options}`", f"{entry['pictures']['pictures']:,}", *_tested(entry)]
@@ -192,7 +205,7 @@ def moved_digits(report: dict[str, Any]) -> str:
     The numbers are means over the networks.
     """
     rows = []
-    for test, cases in report["sets"].get("nmnist", {}).get("simulated", {}).items():
+    for test, cases in report.get("nmnist", {}).get("simulated", {}).items():
         means = {case: float(np.mean(shares)) for case, shares in cases.items()}
         worst = min(means, key=lambda case: means[case])
         rows.append(
@@ -212,20 +225,22 @@ def recipes(report: dict[str, Any]) -> str:
 
     It has the share of held-out windows right, at their ends and as a mean over ten moments.
     """
-    sets = report["sets"]
-    candidates = list(
-        dict.fromkeys(name for rows_by_candidate in sets.values() for name in rows_by_candidate)
-    )
+    sets = list(dict.fromkeys(part["set"] for part in report.values()))
+    candidates = list(dict.fromkeys(part["candidate"] for part in report.values()))
     rows = []
-    for name in candidates:
+    for candidate in candidates:
         cells = []
-        for rows_by_candidate in sets.values():
+        for name in sets:
+            networks = [
+                part
+                for part in report.values()
+                if (part["set"], part["candidate"]) == (name, candidate)
+            ]
             means = (
-                [row[key] for row in rows_by_candidate.get(name, [])]
-                for key in ("per_window", "mean_over_time")
+                [network[key] for network in networks] for key in ("per_window", "mean_over_time")
             )
             cells.append(" / ".join(_mean(values) if values else "-" for values in means))
-        rows.append([name, *cells])
+        rows.append([candidate, *cells])
     return table(["", *sets], rows)
 
 

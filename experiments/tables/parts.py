@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-"""Folder of the checkout."""
-
-RESULTS = ROOT / "experiments" / "results"
-"""Folder of the recorded runs."""
+from experiments.records.files import RESULTS, read_numbers
 
 Table = Callable[..., str]
 """A function that makes a table in Markdown."""
@@ -22,16 +16,8 @@ REPORT_OF: dict[Table, str] = {}
 
 
 def results(name: str) -> dict[str, Any]:
-    """The recorded run `name`."""
-    return read_json(RESULTS / f"{name}.json")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The report in a file. If the file is damaged, the ValueError names it."""
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except ValueError as error:
-        raise ValueError(f"{path} is no report: {error}") from None
+    """The numbers of the recorded run `name`, see `records.files.read_numbers`."""
+    return read_numbers(RESULTS / f"{name}.json")
 
 
 def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:

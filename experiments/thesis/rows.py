@@ -31,14 +31,16 @@ digits.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 from async_tnt import TNTConfig
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.moved_windows import MotionSettings
 from async_tnt.volume.config import Representation
+from experiments.thesis.versions import FLIPPED
 
 T_MAX = 2.0
 """Scaled time at a window's end, in all rows but the thesis' own and those named "t8"."""
@@ -88,6 +90,9 @@ IMAGES: dict[Representation, str] = {
     "time_surface": "time surface",
 }
 """Representation of one image -> its title."""
+
+CONTROLS = ("turned", "reversed", "flipped", "unsigned-8000", "all-ways")
+"""Cheap ways to other directions: what stands behind "raw-" in the name of their rows."""
 
 UNSIGNED = ("raw", "center", "running", "line")
 """Inputs that are also compared without the sign of polarity; raw first."""
@@ -171,6 +176,7 @@ class Row:
     iterations : steps of the optimizer.
     trained_on : names of `TRAINED_ON`.
     motions : settings of motion re-synthesis; None: windows are not re-synthesized.
+    versions : names of `versions.VERSIONS`: each window is also shown in these versions.
     span : number of events that a window keeps, its first ones. Their times are scaled to the whole
         window. None: a window keeps all events, and times are not scaled.
     seeds : largest number of the command's seeds with which the row is trained; None: all.
@@ -184,6 +190,7 @@ class Row:
     iterations: int = STEPS
     trained_on: tuple[str, ...] = ("all", "1")
     motions: MotionSettings | None = None
+    versions: tuple[str, ...] = ()
     span: int | None = None
     seeds: int | None = None
 
@@ -309,6 +316,33 @@ def _motions() -> Iterator[Row]:
         trained_on=("confounded",),
         motions=MotionSettings(recorded=0.0),
     )
+    yield from _controls(row)
+
+
+def _controls(row: Callable[..., Row]) -> Iterator[Row]:
+    """Rows with cheap ways to other directions, as many steps as with re-synthesis.
+
+    row : makes a row of the group.
+    """
+    turned = replace(THINNED, rotation_deg=180)
+    unsigned = INPUTS["raw"].replace(polarity="unsigned")
+    ways: dict[str, tuple[str, dict[str, Any]]] = {
+        "turned": ("raw, turned by any angle", {"augmentation": turned}),
+        "reversed": ("raw, reversed in time, too", {"versions": ("reversed",)}),
+        "flipped": ("raw, flipped, too", {"versions": FLIPPED}),
+        "unsigned-8000": ("raw, unsigned", {"config": unsigned}),
+        "all-ways": (
+            "raw, unsigned, turned, reversed and flipped",
+            {"config": unsigned, "augmentation": turned, "versions": (*FLIPPED, "reversed")},
+        ),
+    }
+    for name, (title, settings) in ways.items():
+        yield row(
+            name=f"raw-{name}",
+            title=title,
+            trained_on=("1",),
+            **{"config": INPUTS["raw"], **settings},
+        )
 
 
 def _representations() -> Iterator[Row]:
@@ -369,6 +403,12 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("raw-motions", "raw-8000"),
         ("raw-moved", "raw-8000"),
         ("running-motions", "raw-motions"),
+    ),
+    "Cheap ways to other directions against as many steps without": tuple(
+        (f"raw-{name}", "raw-8000") for name in CONTROLS
+    ),
+    "Re-synthesis against cheap ways to other directions": tuple(
+        ("raw-motions", f"raw-{name}") for name in CONTROLS
     ),
 }
 """Question -> pairs (row, against) of rows. The difference of their accuracies is measured in every

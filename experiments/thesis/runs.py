@@ -7,6 +7,7 @@ Several networks are trained at a time. The result of each network is in two fil
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
@@ -17,7 +18,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from async_tnt.base.files import replacing, write_text
 from async_tnt.base.progress import progress
 from async_tnt.evaluation.processes import run_all
 from async_tnt.training.evaluation import class_probabilities
@@ -29,16 +29,17 @@ from async_tnt.training.run_folder import plot_curves
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.windows import Windows
-from experiments.digit_data.recordings import CLASSES, saccade
+from experiments.digit_data.recordings import CLASSES, SACCADE_US, saccade
 from experiments.moving_set.manifest import MovingMnist
+from experiments.records.files import read_json, result_of, write_result
+from experiments.speed.timing import machine
 from experiments.thesis.data import RealData, RealFolder, simulated_windows, spanned, trained_on
+from experiments.thesis.right import packed
 from experiments.thesis.rows import COLUMNS, ROWS, Run
+from experiments.thesis.versions import with_versions
 
 RESULT = "result.json"
 """File with the result, in the folder of a network."""
-
-RIGHT = "right.npz"
-"""File that says which windows were right, in the folder of a network."""
 
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
 """Entries of the last epoch that the result keeps."""
@@ -60,10 +61,17 @@ def run_networks(
     settings: TrainSettings,
     folder: Path,
     workers: int,
+    command: str,
+    into: Path | None = None,
 ) -> list[dict[str, Any]]:
     """The results of `run_network` for each of `runs`, in `workers` processes of one thread each.
 
     With one worker, the networks are trained in this process.
+
+    Parameters
+    ----------
+    command : command that makes these results.
+    into : folder for a copy of each result, as soon as it is there.
 
     Raises
     ------
@@ -79,7 +87,14 @@ def run_networks(
         first_runs.setdefault((run.row, run.trained_on), run)
     for run in first_runs.values():
         make_motions(run, real.read(), settings_of(run, settings), folder, workers)
-    task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
+    task = partial(
+        _run_task,
+        real=real,
+        simulated=simulated,
+        settings=settings,
+        folder=folder,
+        command=command,
+    )
     finished_results = []
     with (
         progress(len(runs), "training networks") as bar,
@@ -87,6 +102,8 @@ def run_networks(
     ):
         for result in results:
             finished_results.append(result)
+            if into is not None:
+                write_result(into / f"{run_of(result).name}.json", result)
             bar.update()
     return finished_results
 
@@ -98,10 +115,17 @@ def _run_task(
     simulated: dict[str, MovingMnist],
     settings: TrainSettings,
     folder: Path,
+    command: str,
 ) -> dict[str, Any]:
     # one thread is enough, because each core trains a network
     torch.set_num_threads(1)
-    return run_network(run, real.read(), simulated, settings, folder)
+    return run_network(run, real.read(), simulated, settings, folder, command)
+
+
+def run_of(result: dict[str, Any]) -> Run:
+    """The network that a result belongs to."""
+    numbers = result["numbers"]
+    return Run(numbers["row"], numbers["trained_on"], numbers["seed"])
 
 
 def run_network(
@@ -110,8 +134,11 @@ def run_network(
     simulated: Mapping[str, MovingMnist],
     settings: TrainSettings,
     folder: Path,
+    command: str,
 ) -> dict[str, Any]:
     """Train and test one network, or return an earlier result that was made with its settings.
+
+    The result is one of `records.files`: its numbers, and the run that made them.
 
     Parameters
     ----------
@@ -119,8 +146,9 @@ def run_network(
     settings : settings of the training. The seed is that of the run, and the augmentation that of
         its row. If the settings have no number of iterations, that is of the row, too.
     folder : holds a folder for each run. A run's folder has its checkpoint and its history as JSON.
-        When the run is done, it also has its model, its result as JSON, which windows were right
-        and, with matplotlib, its learning curves.
+        When the run is done, it also has its model, its result as JSON and, with matplotlib, its
+        learning curves.
+    command : command that makes the result.
 
     Raises
     ------
@@ -133,6 +161,8 @@ def run_network(
     if row.span is not None:
         training = spanned(training, row.span)
         held_out = spanned(held_out, row.span)
+    if row.versions:
+        training = with_versions(training, row.versions, row.config.sensor, SACCADE_US)
     motions = make_motions(run, data, settings, folder)
     folder = folder / run.name
     # For a finished run with these settings this is quick, because its checkpoint is that of the
@@ -141,69 +171,59 @@ def run_network(
     trained = train(training_data, settings, folder, motions=motions)
 
     tested_on = {
-        column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
+        column: _digest(data.description)
+        for column in COLUMNS
+        if column.split("/")[0] == run.trained_on
     }
     tested_on |= {
-        f"{run.trained_on}/{name}": simulated_set.parameters
+        f"{run.trained_on}/{name}": _digest(simulated_set.parameters)
         for name, simulated_set in simulated.items()
     }
     result_path = folder / RESULT
     if result_path.exists():
-        earlier_result: dict[str, Any] = json.loads(result_path.read_text(encoding="utf-8"))
-        if earlier_result["tested_on"] == tested_on:
+        earlier_result = read_json(result_path)
+        if earlier_result["numbers"]["tested_on"] == tested_on:
             return earlier_result
 
     pipeline = pipeline_of(trained.model)
     columns: dict[str, Any] = {}
-    right: dict[str, np.ndarray] = {}
     for column in tested_on:
         moments = MOMENTS_MS if column in EARLY and row.span is None else ()
-        test_result = _tested(pipeline, column.split("/")[1], data, simulated, row.span, moments)
-        right[column] = test_result.pop("right")
-        columns[column] = test_result
+        columns[column] = _tested(
+            pipeline, column.split("/")[1], data, simulated, row.span, moments
+        )
 
     last_epoch = trained.history[-1]
-    result = {
+    numbers = {
         "row": run.row,
         "trained_on": run.trained_on,
         "seed": run.seed,
         "columns": columns,
+        "data": data.description,
         "tested_on": tested_on,
         "validation": {name: last_epoch[name] for name in VALIDATION if name in last_epoch},
         "history": [
-            {name: epoch[name] for name in HISTORY if name in epoch} for epoch in trained.history
+            {name: round(epoch[name], 6) for name in HISTORY if name in epoch}
+            for epoch in trained.history
         ],
         "motions": None if motions is None else motions.record,
-        "settings": {
-            name: value
-            for name, value in asdict(settings).items()
-            if name not in ("seed", "augmentation")
-        },
+        "settings": {name: value for name, value in asdict(settings).items() if name != "seed"},
+        "config": row.config.to_dict(),
+        "versions": row.versions,
+        "span_events": row.span,
+        "machine": machine("torch"),
     }
     plot_curves(trained.history, folder / "curves.png")
-    replace(trained.model, record=result).save(folder / "model.safetensors")
-    _write_right(folder / RIGHT, right)
+    result = result_of(numbers, command)
+    replace(trained.model, record=result["numbers"]).save(folder / "model.safetensors")
     # this file is written last, because it says that the run is finished
-    write_text(result_path, json.dumps(result, indent=1))
+    write_result(result_path, result)
     return result
 
 
-def _write_right(path: Path, right: dict[str, np.ndarray]) -> None:
-    with replacing(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **right)
-
-
-def right_of(
-    results: list[dict[str, Any]], folder: Path
-) -> dict[tuple[str, str], dict[int, np.ndarray]]:
-    """Which windows the networks of `run_networks` had right, in the form of `numbers.Right`."""
-    right: dict[tuple[str, str], dict[int, np.ndarray]] = {}
-    for result in results:
-        run = Run(result["row"], result["trained_on"], result["seed"])
-        with np.load(folder / run.name / RIGHT) as arrays:
-            for column in arrays:
-                right.setdefault((run.row, column), {})[run.seed] = arrays[column]
-    return right
+def _digest(description: dict[str, Any]) -> str:
+    """A short digest of a description of test data, which tells data apart."""
+    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
@@ -248,8 +268,7 @@ def _tested(
 ) -> dict[str, Any]:
     """The result of one test: accuracies over all windows, by motion and by time, and "right".
 
-    "right" says which windows are right. It is int8, (motions, recordings or images): 1 is right, 0
-    is wrong, and -1 means that the recording or image has no window in the motion.
+    "right" says which windows are right, (motions, recordings or images), see `right.packed`.
     """
     parts = []
     early_counts = {ms: [0, 0] for ms in moments_ms}
@@ -272,11 +291,11 @@ def _tested(
         "accuracy": float(right[right >= 0].mean()),
         "windows": int((right >= 0).sum()),
         "per_motion": {
-            motion: float(motion_right[motion_right >= 0].mean())
+            motion: round(float(motion_right[motion_right >= 0].mean()), 5)
             for motion, motion_right in zip(motions, right, strict=True)
         },
         "against_time_ms": {str(ms): n_right / n for ms, (n_right, n) in early_counts.items()},
-        "right": right,
+        "right": packed(right),
     }
 
 

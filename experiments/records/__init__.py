@@ -1,0 +1,1 @@
+"""Results in `experiments/results`: numbers, and the run that made them."""
