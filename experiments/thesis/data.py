@@ -30,9 +30,6 @@ OFFICIAL = (60_000, 10_000)
 """Numbers of recordings in N-MNIST's official Train and Test. Recording n of Train shows the image
 with index n - 1 of MNIST's training set."""
 
-CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
-"""Index of the only saccade in which `confounded` shows a digit, for each of the ten digits."""
-
 VALIDATION_SEED = 0
 """Seed of the split. The same recordings are held out in every row and for every seed."""
 
@@ -120,25 +117,20 @@ def shown_test_images(names: Sequence[str]) -> np.ndarray:
 def trained_on(windows: Windows, name: str) -> Windows:
     """The windows for a network that is trained on `name`.
 
-    name : "all", all windows; "1", those of the first saccade; or "confounded", those of one
-        saccade for each digit.
+    name : "all", all windows; or "1", those of the first saccade.
     """
-    if name == "1":
-        return windows[saccade(windows) == 0]
-    if name == "confounded":
-        return windows[saccade(windows) == CONFOUNDED[windows.labels]]
-    return windows
+    return windows[saccade(windows) == 0] if name == "1" else windows
 
 
-def spanned(windows: Windows, n_events: int) -> Windows:
-    """The first `n_events` events of each window, as windows in recordings of their own.
+def scaled(windows: Windows) -> Windows:
+    """The windows in recordings of their own, with scaled times.
 
-    Times are scaled so that the first event is at 0 and the last event at the end of the window, as
-    in the thesis.
+    The first event of a window is at 0, and its last event at the end of the window, as in the
+    thesis.
     """
     columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     for i in range(len(windows)):
-        t, *others = [column[:n_events] for column in windows.events(i, SACCADE_US)]
+        t, *others = windows.events(i, SACCADE_US)
         if len(t):
             t = (t - t[0]) * (SACCADE_US - 1) // max(1, t[-1] - t[0])
         for name, values in zip(COLUMNS, (t, *others), strict=True):

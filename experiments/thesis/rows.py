@@ -3,24 +3,21 @@
 All of this was fixed before the first network was trained.
 
 A row is one way from events to a network's input, and what the network is trained on. All rows
-share the network and the optimizer. The groups `thesis` and `long` have the thesis' own three rows.
-The group `comparison` combines
+share the network and the optimizer.
 
-- inputs: the event volume as it is (raw), or TNT about the image centre, the running centroid, a
-  regressed landmark, or the fitted line with its flow removed,
-- polarity: signed, unsigned or split,
-- augmentation: windows are moved by up to 4 whole pixels, or not. In both cases events are thinned
-  at random, which moves nothing. The thesis moves windows for its regressor alone, and does not say
-  how far. Here windows are moved for all inputs, so that the comparison is fair.
-
-In the comparison t_max is 2. Of 2, 3, 4 and 8, it has the lowest loss on held-out digits of the
-training motion. The thesis has t_max = B - 1 = 8. Its own rows and some others have it here, too.
-
-The thesis scales time from a window's first event to its last. Rows of the group `spans` do this,
-over the whole saccade or over 1,000 events. The group `representations` has event images, and TNT
-about `window`. The group `motions` has motion re-synthesis, an augmentation that the thesis does
-not have. Its rows show what recordings of one motion can teach, not what a network infers by
-itself. Its controls are trained for the same number of steps.
+- `thesis` has the thesis' own rows. As in the thesis, t_max is B - 1 = 8, and time is scaled from a
+  window's first event to its last.
+- `comparison` has the event volume as it is (raw), and TNT about the running centroid and about the
+  fitted line with its flow removed. Windows are moved by up to 4 whole pixels in training, or not.
+  In both cases events are thinned at random, which moves nothing. The thesis moves windows for its
+  regressor alone, and does not say how far. Here windows are moved for all inputs, so that the
+  comparison is fair.
+- `t_max` is how t_max was chosen for the comparison: by the loss on held-out digits of the training
+  motion. Its networks are not tested.
+- `motions` has motion re-synthesis, an augmentation that the thesis does not have. Its rows show
+  what recordings of one motion can teach, not what a network infers by itself. Its controls are
+  cheap ways to other directions, with the same number of steps.
+- `representations` has event images instead of volumes.
 
 References
 ----------
@@ -43,25 +40,20 @@ from async_tnt.volume.config import Representation
 from experiments.thesis.versions import FLIPPED
 
 T_MAX = 2.0
-"""Scaled time at a window's end, in all rows but the thesis' own and those named "t8"."""
+"""Scaled time at a window's end, in all rows but the thesis' own and those of the group `t_max`."""
 
 T_MAX_THESIS = 8.0
-"""Scaled time at a window's end, in the thesis' rows and in those named "t8"."""
+"""Scaled time at a window's end, in the thesis' rows."""
+
+T_MAX_TRIED = (3.0, 4.0, 8.0)
+"""Values of t_max that were tried besides `T_MAX`."""
 
 STEPS = 3_000
 """Steps of the optimizer in most rows."""
 
 STEPS_MORE = 8_000
-"""Steps of the optimizer in the thesis' rows and in those with re-synthesis and their controls."""
-
-STEPS_THESIS = 60_000
-"""Steps of the optimizer in the thesis, and in the rows of group `long`."""
-
-ALL_EVENTS = 1_000_000
-"""Span of a row whose windows keep all events. It is more than any window has."""
-
-WINDOW_EVENTS = 1_000
-"""Span of a row whose windows end after this number of events."""
+"""Steps of the optimizer in the thesis' rows and in those with re-synthesis and their controls. The
+thesis has 60,000."""
 
 TRANSLATE_PX = 4
 """Largest translation of a training window, in pixels."""
@@ -76,12 +68,17 @@ THINNED = replace(AS_RECORDED, drop=0.3)
 
 INPUTS = {
     "raw": TNTConfig(transform="none", landmark="center"),
-    "center": TNTConfig(landmark="center", t_max=T_MAX),
     "running": TNTConfig(landmark="running", t_max=T_MAX),
-    "regressor": TNTConfig(landmark="regressor", t_max=T_MAX),
     "line": TNTConfig(landmark="line", remove_flow=True, t_max=T_MAX),
 }
-"""Name of an input -> settings by which events become volumes."""
+"""Name of an input of the comparison -> settings by which events become volumes."""
+
+THESIS_INPUTS = {
+    "thesis-baseline": ("Baseline", INPUTS["raw"]),
+    "thesis-tnt": ("TNT", TNTConfig(landmark="center", t_max=T_MAX_THESIS)),
+    "thesis-regress": ("TNT+regress", TNTConfig(landmark="regressor", t_max=T_MAX_THESIS)),
+}
+"""Row of the thesis -> its title, and the settings by which events become volumes."""
 
 IMAGES: dict[Representation, str] = {
     "count": "image of counts",
@@ -94,13 +91,7 @@ IMAGES: dict[Representation, str] = {
 CONTROLS = ("turned", "reversed", "flipped", "unsigned-8000", "all-ways")
 """Cheap ways to other directions: what stands behind "raw-" in the name of their rows."""
 
-UNSIGNED = ("raw", "center", "running", "line")
-"""Inputs that are also compared without the sign of polarity; raw first."""
-
-SPLIT = ("raw", "running")
-"""Inputs that are also compared with a volume for each polarity."""
-
-TITLES = {"raw": "raw", **{name: f"`{name}`" for name in INPUTS if name != "raw"}}
+TITLES = {name: name if name == "raw" else f"`{name}`" for name in INPUTS}
 """Name of an input -> its title."""
 
 COLUMNS = {
@@ -108,10 +99,6 @@ COLUMNS = {
     "1/all": "trained on the first saccade, tested on all three",
     "1/others": "trained on the first saccade, tested on the second and third",
     "1/train": "trained on the first saccade, tested on all three of the training digits",
-    "confounded/all": (
-        "trained on each digit in one saccade only (0-3: first, 4-6: second, 7-9: third), tested "
-        "on all"
-    ),
 }
 """Tests on recordings. Every network is tested on each of `SETS`, too: "all/sim", "1/bell" ..."""
 
@@ -177,9 +164,8 @@ class Row:
     trained_on : names of `TRAINED_ON`.
     motions : settings of motion re-synthesis; None: windows are not re-synthesized.
     versions : names of `versions.VERSIONS`: each window is also shown in these versions.
-    span : number of events that a window keeps, its first ones. Their times are scaled to the whole
-        window. None: a window keeps all events, and times are not scaled.
-    seeds : largest number of the command's seeds with which the row is trained; None: all.
+    is_scaled : whether time is scaled from a window's first event to its last.
+    is_tested : whether the networks are tested. Otherwise they are only validated.
     """
 
     name: str
@@ -191,109 +177,60 @@ class Row:
     trained_on: tuple[str, ...] = ("all", "1")
     motions: MotionSettings | None = None
     versions: tuple[str, ...] = ()
-    span: int | None = None
-    seeds: int | None = None
+    is_scaled: bool = False
+    is_tested: bool = True
 
 
 GROUPS = {
     "thesis": (
-        "the thesis' rows, in windows of 105 ms: t_max 8, nothing thinned, translations with the "
-        "regressor only"
+        "the thesis' rows: t_max 8, time from first event to last, nothing thinned, translations "
+        "with the regressor only"
     ),
-    "long": "the same for 60,000 steps, as in the thesis, one seed",
-    "comparison": (
-        "raw volumes and TNT by landmark, signed, unsigned or split, translated or not; some with "
-        "t_max 8"
-    ),
-    "spans": "time scaled from a window's first event to its last, as in the thesis",
+    "comparison": "raw volumes and TNT by landmark, translated or not, t_max 2",
+    "t_max": "how t_max was chosen: TNT about the running centroid, validated only",
     "motions": "with motion re-synthesis, an augmentation, and controls of as many steps",
-    "representations": "event images instead of volumes, and TNT about `window`",
+    "representations": "event images instead of volumes",
 }
 """Group of rows -> what its rows have in common."""
 
 
 def _thesis() -> Iterator[Row]:
-    """The thesis' rows, for our number of steps and for its own."""
+    """The thesis' rows."""
     translated = replace(AS_RECORDED, translate_px=TRANSLATE_PX)
-    rows = (
-        ("thesis-baseline", "Baseline", INPUTS["raw"], AS_RECORDED),
-        ("thesis-tnt", "TNT", INPUTS["center"].replace(t_max=T_MAX_THESIS), AS_RECORDED),
-        (
-            "thesis-regress",
-            "TNT+regress",
-            INPUTS["regressor"].replace(t_max=T_MAX_THESIS),
-            translated,
-        ),
-    )
-    for name, title, config, augmentation in rows:
-        yield Row(name, "thesis", title, config, augmentation, STEPS_MORE)
-    for name, title, config, augmentation in rows:
-        long = f"{title}, 60,000 steps"
-        yield Row(f"{name}-60000", "long", long, config, augmentation, STEPS_THESIS, seeds=1)
-
-
-def _compared(
-    name: str,
-    *,
-    polarity: str = "signed",
-    t_max: float = T_MAX,
-    translated: bool = False,
-) -> Row:
-    """A row of the comparison. Its name and title tell which settings are not the usual ones."""
-    config = INPUTS[name].replace(polarity=polarity)
-    words = [name]
-    title = [TITLES[name]]
-    if t_max != T_MAX:
-        config = config.replace(t_max=t_max)
-        words.append(f"t{t_max:g}")
-        title.append(f"t_max {t_max:g}")
-    if polarity != "signed":
-        words.append(polarity)
-        title.append(polarity)
-    if translated:
-        words.append("translated")
-        title.append("translated")
-    return Row(
-        "-".join(words),
-        "comparison",
-        ", ".join(title),
-        config,
-        replace(THINNED, translate_px=TRANSLATE_PX) if translated else THINNED,
-        trained_on=("all", "1") if (polarity, t_max) == ("signed", T_MAX) else ("1",),
-    )
+    for name, (title, config) in THESIS_INPUTS.items():
+        augmentation = translated if name == "thesis-regress" else AS_RECORDED
+        yield Row(name, "thesis", title, config, augmentation, STEPS_MORE, is_scaled=True)
 
 
 def _comparison() -> Iterator[Row]:
-    """The rows of the comparison: inputs by polarity, with and without translations."""
-    for polarity, names in (("signed", INPUTS), ("unsigned", UNSIGNED), ("split", SPLIT)):
-        for name in names:
-            for translated in (False, True):
-                yield _compared(name, polarity=polarity, translated=translated)
-    for name in ("center", "running"):
-        yield _compared(name, t_max=T_MAX_THESIS, translated=True)
+    """The rows of the comparison: inputs with and without translations."""
+    moved = replace(THINNED, translate_px=TRANSLATE_PX)
+    for name, config in INPUTS.items():
+        yield Row(name, "comparison", TITLES[name], config)
+        title = f"{TITLES[name]}, translated"
+        yield Row(f"{name}-translated", "comparison", title, config, moved)
 
 
-def _spans() -> Iterator[Row]:
-    """Rows whose time is scaled from a window's first event to its last."""
-    for name, n, span_title in (
-        ("raw", ALL_EVENTS, "from first event to last"),
-        ("center", ALL_EVENTS, "from first event to last"),
-        ("center", WINDOW_EVENTS, f"windows of {WINDOW_EVENTS:,} events"),
-    ):
-        suffix = "span" if n == ALL_EVENTS else f"{n}-events"
+def _t_max() -> Iterator[Row]:
+    """Rows that differ from `running` in t_max only."""
+    for t_max in T_MAX_TRIED:
         yield Row(
-            f"{name}-{suffix}", "spans", f"{TITLES[name]}, {span_title}", INPUTS[name], span=n
+            f"running-t{t_max:g}",
+            "t_max",
+            f"`running`, t_max {t_max:g}",
+            INPUTS["running"].replace(t_max=t_max),
+            trained_on=("1",),
+            is_tested=False,
         )
 
 
 def _motions() -> Iterator[Row]:
-    """Rows with motion re-synthesis, and a control trained for the same number of steps."""
+    """Rows with motion re-synthesis, and controls trained for the same number of steps."""
     row = partial(Row, group="motions", iterations=STEPS_MORE)
     yield row(
         name="raw-motions",
         title="raw + re-synthesis",
         config=INPUTS["raw"],
-        trained_on=("all", "1"),
         motions=MotionSettings(),
     )
     yield row(
@@ -303,19 +240,7 @@ def _motions() -> Iterator[Row]:
         trained_on=("1",),
         motions=MotionSettings(),
     )
-    yield row(
-        name="raw-8000",
-        title=f"raw, {STEPS_MORE:,} steps",
-        config=INPUTS["raw"],
-        trained_on=("all", "1", "confounded"),
-    )
-    yield row(
-        name="raw-moved",
-        title="raw, re-synthesis only",
-        config=INPUTS["raw"],
-        trained_on=("confounded",),
-        motions=MotionSettings(recorded=0.0),
-    )
+    yield row(name="raw-8000", title=f"raw, {STEPS_MORE:,} steps", config=INPUTS["raw"])
     yield from _controls(row)
 
 
@@ -346,18 +271,20 @@ def _controls(row: Callable[..., Row]) -> Iterator[Row]:
 
 
 def _representations() -> Iterator[Row]:
-    """Rows of TNT about `window` and of event images, all translated."""
-    inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
+    """Rows of event images, translated."""
     image_config = TNTConfig(transform="none", landmark="center", polarity="split")
-    for image, title in IMAGES.items():
-        inputs[image] = (title, image_config.replace(representation=image))
     translated = replace(THINNED, translate_px=TRANSLATE_PX)
-    for name, (title, config) in inputs.items():
-        row = f"{name}-translated"
-        yield Row(row, "representations", f"{title}, translated", config, translated)
+    for image, title in IMAGES.items():
+        yield Row(
+            f"{image}-translated",
+            "representations",
+            f"{title}, translated",
+            image_config.replace(representation=image),
+            translated,
+        )
 
 
-_PARTS = (_thesis, _comparison, _spans, _motions, _representations)
+_PARTS = (_thesis, _comparison, _t_max, _motions, _representations)
 ROWS = {row.name: row for make in _PARTS for row in make()}
 """Name -> row, in the table's order."""
 assert {row.group for row in ROWS.values()} == set(GROUPS)
@@ -367,41 +294,17 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("thesis-tnt", "thesis-baseline"),
         ("thesis-regress", "thesis-baseline"),
     ),
-    "The transform against raw, not translated": tuple(
-        (name, "raw") for name in INPUTS if name != "raw"
-    ),
+    "The transform against raw, not translated": (("running", "raw"), ("line", "raw")),
     "The transform against raw, translated": (
-        *((f"{name}-translated", "raw-translated") for name in INPUTS if name != "raw"),
-        ("window-translated", "raw-translated"),
+        ("running-translated", "raw-translated"),
+        ("line-translated", "raw-translated"),
     ),
-    "The transform against raw, without the sign": tuple(
-        (f"{name}-unsigned{moved}", f"raw-unsigned{moved}")
-        for moved in ("", "-translated")
-        for name in UNSIGNED[1:]  # all but raw
-    ),
-    "Polarity against signed": tuple(
-        (f"{name}-{polarity}{moved}", f"{name}{moved}")
-        for polarity, names in (("unsigned", UNSIGNED), ("split", SPLIT))
-        for name in names
-        for moved in ("", "-translated")
-    ),
-    "Windows moved by up to 4 px in training": (
-        *((f"{name}-translated", name) for name in INPUTS),
-        *((f"{name}-unsigned-translated", f"{name}-unsigned") for name in UNSIGNED),
-    ),
-    "t_max 8 against 2": tuple(
-        (f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running")
-    ),
-    "Time from first event to last": (
-        ("raw-span", "raw"),
-        ("center-span", "center"),
-        (f"center-{WINDOW_EVENTS}-events", "center"),
-        ("center-span", "raw-span"),
+    "Windows moved by up to 4 px in training": tuple(
+        (f"{name}-translated", name) for name in INPUTS
     ),
     "Event images against raw": tuple((f"{name}-translated", "raw-translated") for name in IMAGES),
     "Re-synthesis against as many steps without": (
         ("raw-motions", "raw-8000"),
-        ("raw-moved", "raw-8000"),
         ("running-motions", "raw-motions"),
     ),
     "Cheap ways to other directions against as many steps without": tuple(
@@ -440,12 +343,11 @@ def runs_of(names: Iterable[str], trained_on: Collection[str], seeds: Sequence[i
     runs = []
     for group in GROUPS:
         rows = [row for row in ROWS.values() if row.group == group and names & {row.name, group}]
-        for place, seed in enumerate(seeds):
+        for seed in seeds:
             for row in rows:
-                if row.seeds is None or place < row.seeds:
-                    runs += [
-                        Run(row.name, training_set, seed)
-                        for training_set in row.trained_on
-                        if training_set in trained_on
-                    ]
+                runs += [
+                    Run(row.name, training_set, seed)
+                    for training_set in row.trained_on
+                    if training_set in trained_on
+                ]
     return runs

@@ -33,7 +33,7 @@ from experiments.digit_data.recordings import CLASSES, SACCADE_US, saccade
 from experiments.moving_set.manifest import MovingMnist
 from experiments.records.files import read_json, result_of, write_result
 from experiments.speed.timing import machine
-from experiments.thesis.data import RealData, RealFolder, simulated_windows, spanned, trained_on
+from experiments.thesis.data import RealData, RealFolder, scaled, simulated_windows, trained_on
 from experiments.thesis.right import packed
 from experiments.thesis.rows import COLUMNS, ROWS, Run
 from experiments.thesis.versions import with_versions
@@ -158,9 +158,9 @@ def run_network(
     settings = settings_of(run, settings)
     training = trained_on(data.training, run.trained_on)
     held_out = trained_on(data.held_out, run.trained_on)
-    if row.span is not None:
-        training = spanned(training, row.span)
-        held_out = spanned(held_out, row.span)
+    if row.is_scaled:
+        training = scaled(training)
+        held_out = scaled(held_out)
     if row.versions:
         training = with_versions(training, row.versions, row.config.sensor, SACCADE_US)
     motions = make_motions(run, data, settings, folder)
@@ -170,28 +170,27 @@ def run_network(
     training_data = TrainingData(row.config, CLASSES, training, held_out)
     trained = train(training_data, settings, folder, motions=motions)
 
-    tested_on = {
-        column: _digest(data.description)
-        for column in COLUMNS
-        if column.split("/")[0] == run.trained_on
-    }
-    tested_on |= {
-        f"{run.trained_on}/{name}": _digest(simulated_set.parameters)
-        for name, simulated_set in simulated.items()
-    }
+    tested_on = _tests_of(run, data, simulated) if row.is_tested else {}
+    columns: dict[str, Any] = {}
     result_path = folder / RESULT
     if result_path.exists():
         earlier_result = read_json(result_path)
-        if earlier_result["numbers"]["tested_on"] == tested_on:
+        earlier_tests = earlier_result["numbers"]["tested_on"]
+        if earlier_tests == tested_on:
             return earlier_result
+        # other test data have come: what was tested already is not tested again
+        columns = {
+            column: part
+            for column, part in earlier_result["numbers"]["columns"].items()
+            if earlier_tests[column] == tested_on.get(column)
+        }
 
     pipeline = pipeline_of(trained.model)
-    columns: dict[str, Any] = {}
     for column in tested_on:
-        moments = MOMENTS_MS if column in EARLY and row.span is None else ()
-        columns[column] = _tested(
-            pipeline, column.split("/")[1], data, simulated, row.span, moments
-        )
+        if column not in columns:
+            moments = MOMENTS_MS if column in EARLY and not row.is_scaled else ()
+            test = column.split("/")[1]
+            columns[column] = _tested(pipeline, test, data, simulated, row.is_scaled, moments)
 
     last_epoch = trained.history[-1]
     numbers = {
@@ -210,7 +209,7 @@ def run_network(
         "settings": {name: value for name, value in asdict(settings).items() if name != "seed"},
         "config": row.config.to_dict(),
         "versions": row.versions,
-        "span_events": row.span,
+        "is_scaled": row.is_scaled,
         "machine": machine("torch"),
     }
     plot_curves(trained.history, folder / "curves.png")
@@ -219,6 +218,18 @@ def run_network(
     # this file is written last, because it says that the run is finished
     write_result(result_path, result)
     return result
+
+
+def _tests_of(run: Run, data: RealData, simulated: Mapping[str, MovingMnist]) -> dict[str, str]:
+    """The columns in which a network is tested, with a digest of the test data of each."""
+    tests = {
+        column: _digest(data.description)
+        for column in COLUMNS
+        if column.split("/")[0] == run.trained_on
+    }
+    for name, simulated_set in simulated.items():
+        tests[f"{run.trained_on}/{name}"] = _digest(simulated_set.parameters)
+    return tests
 
 
 def _digest(description: dict[str, Any]) -> str:
@@ -263,7 +274,7 @@ def _tested(
     test: str,
     data: RealData,
     simulated: Mapping[str, MovingMnist],
-    span: int | None,
+    is_scaled: bool,
     moments_ms: tuple[int, ...],
 ) -> dict[str, Any]:
     """The result of one test: accuracies over all windows, by motion and by time, and "right".
@@ -274,7 +285,7 @@ def _tested(
     early_counts = {ms: [0, 0] for ms in moments_ms}
     for motion, windows in _windows(test, data, simulated):
         names = [windows.recordings.names[index] for index in windows.recording]
-        tested = windows if span is None else spanned(windows, span)
+        tested = scaled(windows) if is_scaled else windows
         parts.append((motion, names, _right(pipeline, tested)))
         for ms, counts in early_counts.items():
             is_right_early = _right(pipeline, tested, until_us=1_000 * ms)
