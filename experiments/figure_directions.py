@@ -1,4 +1,4 @@
-"""Draw accuracy by direction of the simulated motions, from experiments/results/table.json.
+"""Draw accuracy by direction of the simulated motions, from experiments/results/thesis.
 
 python -m experiments.figure_directions --picture docs/images/directions.png
 """
@@ -11,16 +11,16 @@ import numpy as np
 
 from async_tnt.views.figure_style import OFF, ON, TEXT, headline, new_figure
 from experiments.scripts.options import draw_into, exit_with, picture_parser
-from experiments.tables.parts import results
+from experiments.thesis.table import recorded_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LOOKS: dict[str, dict[str, Any]] = {
     "raw-translated": {"color": "#000000"},
-    "regressor-translated": {"color": "#8a8a8a", "ls": (0, (4, 1.5))},
+    "raw-all-ways": {"color": "#8a8a8a", "ls": (0, (4, 1.5))},
     "running-translated": {"color": ON},
-    "line-unsigned-translated": {"color": OFF},
+    "line-translated": {"color": OFF},
     "raw-motions": {"color": "#009E73"},
 }
 """Row of the table -> how its line is drawn."""
@@ -94,7 +94,7 @@ def draw(report: dict[str, Any]) -> Figure:
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
     args = picture_parser("figure_directions", __doc__).parse_args(argv)
-    draw_into(args.picture, draw, results("table"))
+    draw_into(args.picture, draw, recorded_table())
     return 0
 
 

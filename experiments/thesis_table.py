@@ -19,7 +19,7 @@ from async_tnt.cli.output import note, say
 from async_tnt.training.settings import TrainSettings
 from experiments.records.run import command_line
 from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
-from experiments.thesis.rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
+from experiments.thesis.rows import FOREIGN, GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
 DESCRIPTION = f"""\
 The thesis' experiment: networks that saw digits move in one way, tested in other motions.
@@ -91,6 +91,13 @@ def _add_data(group: argparse._ArgumentGroup) -> None:
         default=500,
         metavar="N",
         help="test images of MNIST to simulate, that no training recording shows (default: 500)",
+    )
+
+    add_folder(
+        group,
+        "--v2e",
+        "a checkout of https://github.com/SensorsINI/v2e: networks are also tested on the motions "
+        "of sim as its pixels see them",
     )
 
 
@@ -209,7 +216,7 @@ def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any]
     """The tables of the trained and tested networks, and the seconds that they took."""
     import torch
 
-    from experiments.thesis.data import RealFolder, make_set
+    from experiments.thesis.data import RealFolder, make_foreign_set, make_set
     from experiments.thesis.runs import run_networks
     from experiments.thesis.table import table_of
 
@@ -227,6 +234,10 @@ def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any]
     for name in SETS:
         folder = args.out / "simulated" / name.replace(" ", "-")
         simulated[name] = make_set(name, mnist, folder, data, args.images, workers)
+
+    if args.v2e is not None:
+        folder = args.out / "simulated" / FOREIGN.replace(" ", "-")
+        simulated[FOREIGN] = make_foreign_set(args.v2e, mnist, folder, data, args.images)
 
     note(*_listed(runs, args.iterations))
     networks = args.out / "networks"

@@ -12,6 +12,7 @@ from experiments.tables.parts import about_machine, of_report, percent, results,
 from experiments.thesis.numbers import cell, summary, with_range
 from experiments.thesis.numbers import short as three_digits
 from experiments.thesis.rows import IMAGES
+from experiments.thesis.table import recorded_table
 
 SHOWN_MS = ("5", "10", "20", "30", "50", "100")
 """Times of `cars`, in milliseconds. Times at which networks were not tested are left out."""
@@ -124,7 +125,7 @@ def representations() -> str:
 
     Accuracies are means over the networks, with their standard deviation.
     """
-    nmnist = results("table")["table"]
+    nmnist = recorded_table()["table"]
     recipes = results("cars")
     rows = []
     measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from experiments.tables.parts import results, table
+from experiments.tables.parts import table
 from experiments.thesis.numbers import LEVEL, cell, in_order, signed
 from experiments.thesis.rows import QUESTIONS, ROWS, SETS
+from experiments.thesis.table import recorded_table
 
 SHOWN_COLUMNS = ("all/all", "1/others", "all/sim", "1/sim", "all/bell", "1/bell")
 """Columns of the table `differences`, each as "trained on/tested on"."""
@@ -32,7 +33,7 @@ def thesis_sets() -> str:
 
     An accuracy is bold if its difference to the Baseline holds.
     """
-    accuracies = results("table")["table"]
+    accuracies = recorded_table()["table"]
     held = {
         (difference["row"], difference["column"])
         for difference in _differences()
@@ -63,7 +64,7 @@ def effects() -> str:
     Effects that hold are bold.
     """
     by_name: dict[str, dict[tuple[str, str], Difference]] = {}
-    for effect in results("table")["effects"]:
+    for effect in recorded_table()["effects"]:
         by_name.setdefault(effect["effect"], {})[effect["trained_on"], effect["row"]] = effect
     columns = list(dict.fromkeys(column for effect in by_name.values() for column in effect))
     body = []
@@ -179,8 +180,8 @@ def holds(difference: Difference) -> bool:
 
 
 def _differences() -> list[Difference]:
-    """All recorded differences."""
-    return list(results("table")["differences"])
+    """All differences of the recorded networks."""
+    return list(recorded_table()["differences"])
 
 
 def _test(column: str) -> str:

@@ -220,7 +220,6 @@ SECTIONS = (
                 "The thesis' own rows; in brackets its numbers, from the official split and "
                 f"simulated motions of its own, which were probably like {THESIS_SET!r}"
             ),
-            thesis.curves: "60,000 steps: held-out windows right / their loss",
             differences.thesis_sets: (
                 "On nine sets of 30 simulated motions; bold: better or worse than the Baseline"
             ),

@@ -1,14 +1,16 @@
-"""The tables of the thesis' experiment: accuracies, all from one run of `thesis_table`."""
+"""The tables of the thesis' experiment: accuracies, from the results of its networks."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from async_tnt.resynthesis.calibration import UNITS
-from experiments.tables.differences import BASELINE, TRANSFORMED
-from experiments.tables.parts import of_report, results, table
-from experiments.thesis.numbers import markdown_table, short
-from experiments.thesis.rows import ROWS, THESIS_SET
+from experiments.tables.parts import of_report, table
+from experiments.thesis.numbers import cell, markdown_table, short, summary
+from experiments.thesis.rows import CONTROLS, ROWS, T_MAX, THESIS_SET
+from experiments.thesis.table import recorded_networks, recorded_table
 
 GUESS = 0.1
 """Accuracy of guessing among ten digits."""
@@ -23,12 +25,10 @@ MOTIONS_COLUMNS = (
     "all/all",
     "1/all",
     "1/others",
-    "confounded/all",
     "all/sim",
     "1/sim",
-    "confounded/sim",
+    "1/bell",
     "1/beyond",
-    "confounded/beyond",
     f"1/{THESIS_SET}",
 )
 """Columns of `resynthesis`."""
@@ -37,37 +37,33 @@ UNSEEN_COLUMNS = ("1/all", "1/sim")
 """Columns of `unseen_motion`."""
 
 UNSEEN_ROWS = {
-    "raw-translated": "signed, untransformed",
-    "running-translated": "signed, `running`",
-    "raw-unsigned-translated": "unsigned, untransformed",
-    "running-unsigned-translated": "unsigned, `running`",
-    "line-unsigned-translated": "unsigned, `line` with its flow removed",
+    "raw-translated": "untransformed, 3,000 steps",
+    "running-translated": "TNT, `running`, 3,000 steps",
+    "line-translated": "TNT, `line` with its flow removed, 3,000 steps",
+    "raw-8000": "untransformed, 8,000 steps",
+    "raw-all-ways": "the same without polarity, turned, reversed and flipped",
+    "raw-motions": "untransformed, re-synthesized motions, 8,000 steps",
 }
 """Row of the thesis' table -> its title in `unseen_motion`."""
 
 EARLY_ROWS = (
-    BASELINE,
-    *TRANSFORMED,
     "raw-translated",
     "running-translated",
-    "line-unsigned-translated",
+    "line-translated",
     "time_surface-translated",
     "raw-motions",
 )
 """Rows of `against_time`."""
 
-STEPS = (1_000, 3_000, 8_000, 20_000, 40_000, 60_000)
-"""Steps of the optimizer that `curves` shows."""
-
 
 def _accuracies() -> dict[str, Any]:
-    """Row -> column -> accuracies, from the recorded run."""
-    return dict(results("table")["table"])
+    """Row -> column -> accuracies, of the recorded networks."""
+    return dict(recorded_table()["table"])
 
 
 def thesis_rows() -> str:
     """A table of the thesis' rows, with the thesis' own numbers in brackets."""
-    return markdown_table(_accuracies(), ("thesis", "long"), THESIS_COLUMNS)
+    return markdown_table(_accuracies(), ("thesis",), THESIS_COLUMNS)
 
 
 def comparison() -> str:
@@ -76,7 +72,7 @@ def comparison() -> str:
     One row has the accuracies of a network that knows the motion it saw and guesses in all other
     motions.
     """
-    lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
+    lines = markdown_table(_accuracies(), ("comparison", "representations"), COLUMNS).splitlines()
     guess_by_column = {
         "1/all": _guessed("1/all"),
         "1/others": GUESS,
@@ -92,8 +88,30 @@ def comparison() -> str:
 
 def _guessed(column: str) -> float:
     """Accuracy of a network that knows the first saccade and guesses in the other two."""
-    known: float = _accuracies()["raw"][column]["per_motion"]["saccade 1"]
+    known: float = _accuracies()["raw-translated"][column]["per_motion"]["saccade 1"]
     return (known + 2 * GUESS) / 3
+
+
+def t_max() -> str:
+    """A table of the loss on held-out digits of the first saccade, by t_max.
+
+    The loss and the accuracy are means over the seeds, with their standard deviation.
+    """
+    loss_by_t_max: dict[float, list[float]] = {}
+    right_by_t_max: dict[float, list[float]] = {}
+    for network in recorded_networks():
+        row = ROWS[network["row"]]
+        if network["trained_on"] == "1" and (row.group == "t_max" or row.name == "running"):
+            value = row.config.t_max
+            loss_by_t_max.setdefault(value, []).append(network["validation"]["validation_loss"])
+            right_by_t_max.setdefault(value, []).append(network["validation"]["per_window"])
+    values = sorted(loss_by_t_max)
+    rows = [
+        ["held-out loss", *(cell(summary(loss_by_t_max[value])) for value in values)],
+        ["held-out windows right", *(cell(summary(right_by_t_max[value])) for value in values)],
+    ]
+    assert not values or T_MAX in values
+    return table(["", *(f"t_max {value:g}" for value in values)], rows)
 
 
 def unseen_motion() -> str:
@@ -106,11 +124,10 @@ def unseen_motion() -> str:
 
     body = [[title, *cells(row)] for row, title in UNSEEN_ROWS.items()]
     body.append(["*a guess in motions that were not seen*", short(_guessed("1/all")), short(GUESS)])
-    body.append(["signed, untransformed, re-synthesized motions", *cells("raw-motions")])
     head = ["volume", "right in all three saccades", "right in 30 simulated motions"]
     sentence = (
-        f"Trained on the first saccade: {n_seeds} seeds, t_max 2, windows moved by up to 4 px in "
-        "training; with re-synthesized motions, windows not moved and more steps."
+        f"Trained on the first saccade of N-MNIST alone: {n_seeds} seeds, t_max 2. Rows of 3,000 "
+        "steps move windows by up to 4 px in training."
     )
     return f"{sentence}\n\n{table(head, body)}"
 
@@ -119,30 +136,18 @@ def against_time() -> str:
     """A table of the accuracy in unseen motions, by the time since a window's start."""
     accuracies = _accuracies()
     body = []
+    times: dict[str, float] = {}
     for column in ("1/others", "1/sim"):
         for row in EARLY_ROWS:
             entry = accuracies.get(row, {}).get(column, {})
             against_time = entry.get("against_time_ms")
             if against_time:
+                times = against_time
                 early_accuracies = [short(accuracy) for accuracy in against_time.values()]
                 body.append(
                     [f"{column}: {ROWS[row].title}", *early_accuracies, short(entry["mean"])]
                 )
-    times = accuracies[EARLY_ROWS[0]]["1/others"]["against_time_ms"]
     return table(["", *(f"{ms} ms" for ms in times), "105 ms"], body)
-
-
-def curves() -> str:
-    """A table of held-out windows right and their loss, by steps of the long trainings."""
-    body = []
-    for name, history in results("table")["curves"].items():
-        row, trained_on, _ = name.rsplit("-", 2)
-        cells = []
-        for steps in STEPS:
-            epoch = next(epoch for epoch in history if epoch["iterations"] >= steps)
-            cells.append(f"{short(epoch['per_window'])} / {short(epoch['validation_loss'])}")
-        body.append([f"{trained_on}: {ROWS[row].title}", *cells])
-    return table(["trained on", *(f"{steps:,} steps" for steps in STEPS)], body)
 
 
 @of_report("equivariance")
@@ -161,13 +166,35 @@ def resynthesis() -> str:
     return markdown_table(_accuracies(), ("motions",), MOTIONS_COLUMNS)
 
 
+def controls() -> str:
+    """A sentence on the best control of re-synthesis, in each of the columns of `unseen_motion`."""
+    accuracies = _accuracies()
+    sentences = []
+    for column in UNSEEN_COLUMNS:
+        means = {
+            name: float(np.mean(list(accuracies[f"raw-{name}"][column]["seeds"].values())))
+            for name in CONTROLS
+        }
+        best = max(means, key=lambda name: means[name])
+        sentences.append(
+            f"{column}: re-synthesis {short(accuracies['raw-motions'][column]['mean'])}, the best "
+            f"of the cheap ways {short(means[best])} ({ROWS[f'raw-{best}'].title}), none of them "
+            f"{short(accuracies['raw-8000'][column]['mean'])}."
+        )
+    return "\n".join(f"- {sentence}" for sentence in sentences)
+
+
 def resynthesis_match() -> str:
     """A sentence on the paths that were found, and a table of statistics of their simulations.
 
     The windows of the first saccade are simulated again along their own paths. The table compares
     their statistics with those of the recorded windows.
     """
-    motions = results("table")["rows"]["raw-motions"]["motions"]["1"]
+    motions = next(
+        network["motions"]
+        for network in recorded_networks()
+        if (network["row"], network["trained_on"]) == ("raw-motions", "1")
+    )
     match = motions["match"]
     body = []
     for name, recorded in match["recorded"].items():

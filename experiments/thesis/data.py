@@ -23,6 +23,7 @@ from experiments.digit_data.recordings import (
 )
 from experiments.motions.scene import Scene
 from experiments.moving_set.build import build
+from experiments.moving_set.foreign_pixels import build_foreign
 from experiments.moving_set.manifest import MovingMnist
 from experiments.thesis.rows import SETS
 
@@ -156,21 +157,44 @@ def make_set(
     ValueError : there are fewer than `n_images` such images.
     """
     kind, is_dark = SETS[name]
-    unseen_images = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
-    if len(unseen_images) < n_images:
+    which = unseen_images(mnist, data, n_images)
+    scene = Scene(dark_on_bright=is_dark)
+    return build(mnist, folder, kind=kind, which=which, scene=scene, workers=workers)
+
+
+def make_foreign_set(
+    v2e: Path, mnist: Path, folder: Path, data: RealData, n_images: int
+) -> MovingMnist:
+    """The set `FOREIGN`, of the same images and motions as "sim".
+
+    v2e : a checkout of v2e.
+
+    Raises
+    ------
+    FileNotFoundError : the checkout has no simulator.
+    ValueError : as `make_set`.
+    """
+    kind, is_dark = SETS["sim"]
+    which = unseen_images(mnist, data, n_images)
+    scene = Scene(dark_on_bright=is_dark)
+    return build_foreign(v2e, mnist, folder, which=which, kind=kind, scene=scene)
+
+
+def unseen_images(mnist: Path, data: RealData, n_images: int) -> list[int]:
+    """The indices of the first `n_images` of MNIST's test images that no training recording shows.
+
+    Raises
+    ------
+    ValueError : there are fewer such images.
+    """
+    unseen = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
+    if len(unseen) < n_images:
         raise ValueError(
-            f"{mnist}: {len(unseen_images)} test images are not shown by training recordings, not "
+            f"{mnist}: {len(unseen)} test images are not shown by training recordings, not "
             f"{n_images}"
         )
-    scene = Scene(dark_on_bright=is_dark)
-    return build(
-        mnist,
-        folder,
-        kind=kind,
-        which=unseen_images[:n_images].tolist(),
-        scene=scene,
-        workers=workers,
-    )
+    indices: list[int] = unseen[:n_images].tolist()
+    return indices
 
 
 def simulated_windows(simulated_set: MovingMnist) -> Iterator[tuple[str, Windows]]:

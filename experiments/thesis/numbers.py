@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.thesis.rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
+from experiments.thesis.rows import COLUMNS, FOREIGN, QUESTIONS, ROWS, SETS, THESIS
 
 Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
 """(row, column) -> seed -> which windows are right: int8, (motions, digits). 1 is right, 0 is
@@ -28,7 +28,7 @@ wrong, and -1 means that the digit has no window in the motion."""
 LEVEL = 0.05
 """Level of significance of Holm's method."""
 
-UNDRAWN = tuple(SETS)[1:]
+UNDRAWN = (*tuple(SETS)[1:], FOREIGN)
 """Sets whose accuracies by motion are in no figure. They are left out of the results."""
 
 
@@ -77,7 +77,7 @@ def in_order(columns: Iterable[str]) -> list[str]:
     """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
     wanted = set(columns)
     trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
-    order = [*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)]
+    order = [*COLUMNS, *(f"{on}/{name}" for name in (*SETS, FOREIGN) for on in trained_on)]
     return [column for column in order if column in wanted]
 
 

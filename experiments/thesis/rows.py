@@ -119,6 +119,10 @@ SETS = {
 """Simulated set -> its kind of motions, of `motions.kinds.KINDS`, and whether its digits are dark
 on a bright background."""
 
+FOREIGN = "sim v2e"
+"""The set whose motions are those of "sim", but whose pixels are those of v2e, which are not ours
+(`moving_set/foreign_pixels.py`). It is there if a checkout of v2e is given."""
+
 THESIS_SET = "centre bright"
 """The set that is probably like the thesis' own."""
 
