@@ -129,7 +129,8 @@ def scaled(windows: Windows) -> Windows:
     The first event of a window is at 0, and its last event at the end of the window, as in the
     thesis.
     """
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+    # each begins with an empty part, because there may be no windows
+    columns = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
     for i in range(len(windows)):
         t, *others = windows.events(i, SACCADE_US)
         if len(t):
@@ -138,7 +139,7 @@ def scaled(windows: Windows) -> Windows:
             columns[name].append(values.astype(COLUMNS[name]))
     recordings = Recordings(
         **{name: np.concatenate(parts) for name, parts in columns.items()},
-        offsets=np.cumsum([0, *map(len, columns["t"])]),
+        offsets=np.cumsum([len(part) for part in columns["t"]]),
         labels=windows.labels,
         names=tuple(windows.recordings.names[r] for r in windows.recording),
     )

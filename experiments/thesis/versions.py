@@ -46,7 +46,8 @@ def with_versions(
     """
     flips = ["", *(name for name in names if name in FLIPPED)]
     backwards = [False, True] if "reversed" in names else [False]
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+    # each begins with an empty part, because there may be no windows
+    columns = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
     lengths = []
     recorded = [windows.events(i, window_us) for i in range(len(windows))]
     for flip, is_reversed in itertools.product(flips, backwards):

@@ -7,35 +7,42 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 from small_sets import write_small_mnist
 
 torch = pytest.importorskip("torch")
 
 from scipy import stats  # noqa: E402
 
-from async_tnt import Processor, TNTConfig, TNTVolume, load_model  # noqa: E402
-from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
+from async_tnt.training.recordings import Recordings  # noqa: E402
+from async_tnt.training.windows import Windows  # noqa: E402
 from async_tnt.volume.events import structured  # noqa: E402
 from experiments import thesis_table  # noqa: E402
 from experiments.moving_set.build import open_set  # noqa: E402
-from experiments.tables.parts import results  # noqa: E402
+from experiments.records.files import problem_of, read_json, read_numbers  # noqa: E402
 from experiments.thesis.data import (  # noqa: E402
     RealFolder,
     saccade,
+    scaled,
     shown_test_images,
-    spanned,
     trained_on,
 )
 from experiments.thesis.factors import FACTORS, effects  # noqa: E402
-from experiments.thesis.merge import merged  # noqa: E402
 from experiments.thesis.numbers import (  # noqa: E402
     aggregate,
     differences,
-    holm,
     interval,
     markdown_table,
 )
-from experiments.thesis.rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
+from experiments.thesis.right import packed, unpacked  # noqa: E402
+from experiments.thesis.rows import CONTROLS, QUESTIONS, ROWS, SETS, Run  # noqa: E402
+from experiments.thesis.table import recorded_networks  # noqa: E402
+from experiments.thesis.versions import VERSIONS, with_versions  # noqa: E402
+
+CONTROL_ROWS = {f"raw-{name}" for name in CONTROLS}
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +73,11 @@ def test_pairs_that_are_compared_differ_in_one_thing():
             a.config.replace(polarity="signed", t_max=2)
             != b.config.replace(polarity="signed", t_max=2),
             a.motions != b.motions,
-            a.span != b.span,
+            a.versions != b.versions,
         ]
-        assert sum(differ) == 1, (row, against)
+        # all cheap ways together, and re-synthesis against each of them, differ in more
+        is_control = against in CONTROL_ROWS or row == "raw-all-ways"
+        assert sum(differ) == 1 or is_control, (row, against)
 
 
 def test_images_seen_in_training_are_read_from_the_names():
@@ -127,57 +136,6 @@ def test_numbers_and_tables_by_hand():
         markdown_table(table, ["thesis"]).splitlines()[2]
         == "| TNT | .960 (.981) | .500 | .600 (.592) |"
     )
-
-
-def test_results_put_into_a_file_of_more_rows():
-    """What is new replaces, what is not stays, and p is adjusted over both."""
-    old = results("table")
-    assert merged(old, old) == old
-    row = "thesis-tnt"
-    column = "all/sim"
-    before = next(d for d in old["differences"] if (d["row"], d["column"]) == (row, column))
-    effect = {**old["effects"][0], "mean": 0.5, "p": 0.0}
-    cells = {row: {column: {**old["table"][row][column], "mean": 0.25}}}
-    new = {
-        **old,
-        "command": "again",
-        "seeds": [7],
-        "machine": {"cpu": "another"},
-        "table": cells,
-        "effects": [effect],
-    }
-    moved = {**old["rows"]["raw-motions"], "motions": {"all": {}}}
-    new |= {"rows": {"raw-motions": moved}, "validation": {}, "curves": {"x": []}}
-    new |= {"differences": [{**before, "mean": 0.125, "p": 0.9}]}
-    # A difference of old numbers is left out.
-    assert (
-        len(merged(old, {**new, "differences": []})["differences"]) == len(old["differences"]) - 1
-    )
-    found = merged(old, new)
-    assert found["table"][row][column]["mean"] == 0.25 and found["machine"]["cpu"] == "another"
-    assert found["table"][row]["1/sim"] == old["table"][row]["1/sim"] and list(
-        found["table"]
-    ) == list(old["table"])
-    assert found["seeds"] == [0, 1, 2, 3, 4, 7] and found["command"] == f"{old['command']}; again"
-    assert (
-        found["curves"] == {**old["curves"], "x": []} and found["rows"].keys() == old["rows"].keys()
-    )
-    assert found["rows"]["raw-motions"]["motions"] == {
-        **old["rows"]["raw-motions"]["motions"],
-        "all": {},
-    }
-    of = [d for d in found["differences"] if d["question"] == before["question"]]
-    assert [d["mean"] for d in of if (d["row"], d["column"]) == (row, column)] == [0.125] and len(
-        of
-    ) > 30
-    assert (
-        [d["holm"] for d in of]
-        == holm([d["p"] for d in of])
-        != [d["holm"] for d in old["differences"][: len(of)]]
-    )
-    assert found["differences"][len(of) :] == old["differences"][len(of) :]
-    assert [e["mean"] for e in found["effects"]] == [0.5, *(e["mean"] for e in old["effects"][1:])]
-    assert [e["holm"] for e in found["effects"]] == holm([e["p"] for e in found["effects"]])
 
 
 def test_an_interval_by_hand():
@@ -267,25 +225,19 @@ def test_effects_of_factors_by_hand():
             assert (effect["holm"] < 0.05) == (abs(expected[name]) > 0), name
 
 
-def test_time_from_the_first_event_to_the_last_is_that_of_a_window_of_events(nmnist):
-    """The volume of a stream with `window_events`, which scales time as the thesis does."""
-    n = 300
+def test_time_runs_from_the_first_event_to_the_last(nmnist):
     windows = RealFolder(nmnist, validation=0.25).read().test
-    config = TNTConfig(landmark="center", t_max=2)
-    scaled = spanned(windows, n)
-    assert len(scaled) == len(windows) and scaled.labels.tolist() == windows.labels.tolist()
-    volumes = BatchVolumes(config)(scaled, None)
+    window_us = TNTConfig().window_us
+    scaled_windows = scaled(windows)
+    assert scaled_windows.labels.tolist() == windows.labels.tolist()
     for i in (0, 7, 29):
-        columns = windows.events(i, config.window_us)
-        stream = TNTVolume(config.replace(window_events=n))
-        stream.update(structured([column[:n] for column in columns]))
-        # times are whole microseconds
-        np.testing.assert_allclose(volumes[i], stream.array, atol=0.02)
-    whole = spanned(windows, 1_000_000)
-    t = whole.events(0, config.window_us)[0]
-    assert (t[0], t[-1]) == (0, config.window_us - 1) and len(t) == len(
-        windows.events(0, config.window_us)[0]
-    )
+        t, *others = windows.events(i, window_us)
+        scaled_t, *scaled_others = scaled_windows.events(i, window_us)
+        assert (scaled_t[0], scaled_t[-1]) == (0, window_us - 1)
+        expected = (t - t[0]) / (t[-1] - t[0]) * (window_us - 1)
+        np.testing.assert_allclose(scaled_t, expected, atol=1)  # whole microseconds
+        for column, scaled_column in zip(others, scaled_others, strict=True):
+            np.testing.assert_array_equal(column, scaled_column)
 
 
 @pytest.fixture(scope="module")
@@ -300,7 +252,7 @@ def words(nmnist, mnist):
         2,
         "--rows",
         "raw",
-        "regressor-translated",
+        "thesis-regress",
         "--seeds",
         3,
     ]
@@ -316,11 +268,7 @@ def done(words, tmp_path_factory):
 
 def test_results_record_what_was_done(done):
     record = json.loads((done / "results.json").read_text())
-    assert record["command"] == (
-        "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --images 2 "
-        "--rows raw regressor-translated --seeds 3 --iterations 3 --batch 16"
-    )
-    assert set(record["table"]) == {"raw", "regressor-translated"}
+    assert set(record["table"]) == {"thesis-regress", "raw"}
     for columns in record["table"].values():
         assert list(columns)[:6] == ["all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim"]
         assert list(columns)[6:] == [
@@ -330,11 +278,16 @@ def test_results_record_what_was_done(done):
         # The tests have 40 recordings, and 2 images that no recording shows.
         assert sizes == [30, 30, 20, 120, *[60] * 18]
         assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30, *[0] * 16]
-        assert list(columns["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]
-    assert record["data"]["simulated"]["bell"]["images"] == [0, 1]
-    assert record["rows"]["regressor-translated"]["augmentation"]["translate_px"] == 4
-    assert record["rows"]["raw"]["iterations"] == 3
-    assert "raw-1-seed3" in record["validation"] and str(done) not in json.dumps(record)
+    raw = record["table"]["raw"]
+    assert list(raw["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]
+    network = read_json(done / "networks" / "raw-1-seed3" / "result.json")
+    assert network["run"]["command"].startswith("python -m experiments.thesis_table")
+    assert network["run"]["machine"]["cores"] > 0
+    # this checkout may have changes
+    assert problem_of(network) in ("", "it was made by code that was not committed")
+    assert network["numbers"]["settings"]["iterations"] == 3
+    assert network["numbers"]["data"]["test_recordings"] == 10
+    assert str(done) not in json.dumps(network["numbers"])
     assert "| raw |" in (done / "table.md").read_text()
 
 
@@ -364,7 +317,7 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
 ):
     before = json.loads((done / "results.json").read_text())
     shutil.copytree(done, tmp_path / "cut")
-    shutil.rmtree(tmp_path / "cut" / "networks" / "regressor-translated-1-seed3")
+    shutil.rmtree(tmp_path / "cut" / "networks" / "thesis-regress-1-seed3")
     code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--json")
     assert code == 0 and json.loads(printed)["table"] == before["table"]
     monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
@@ -376,51 +329,55 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
 
 def test_rows_with_resynthesis(nmnist, mnist, tmp_path, experiment):
     """Motions are made once for both seeds, and counted in the results."""
-    words = [
-        "--rows",
-        "raw-moved",
-        "--trained-on",
-        "confounded",
-        "--seeds",
-        0,
-        1,
-        "--out",
-        tmp_path,
-    ]
-    words += [
-        "--nmnist",
-        nmnist,
-        "--mnist",
-        mnist,
-        "--images",
-        2,
-        "--iterations",
-        4,
-        "--batch",
-        16,
-        "--workers",
-        1,
-    ]
+    words = ["--rows", "raw-motions", "running-t3", "--trained-on", "1", "--seeds", 0, 1]
+    words += ["--nmnist", nmnist, "--mnist", mnist, "--images", 2, "--iterations", 4]
+    words += ["--batch", 16, "--workers", 1, "--out", tmp_path, "--into", tmp_path / "into"]
     code, printed, _ = experiment("thesis_table", *words)
-    record = json.loads((tmp_path / "results.json").read_text())
-    assert code == 0 and "confounded/all" in printed
-    motions = record["rows"]["raw-moved"]["motions"]["confounded"]
+    assert code == 0 and "1/all" in printed
+    names = sorted(path.stem for path in (tmp_path / "into").iterdir())
+    assert names == [f"{row}-1-seed{k}" for row in ("raw-motions", "running-t3") for k in (0, 1)]
+    moved = read_numbers(tmp_path / "into" / "raw-motions-1-seed1.json")
     # no more than epochs
-    assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2
-    assert record["table"]["raw-moved"]["confounded/sim"]["windows"] == 60
-    assert sorted(record["validation"]) == [f"raw-moved-confounded-seed{s}" for s in (0, 1)]
+    assert moved["motions"]["windows"] == 40 == moved["motions"]["with_path"]
+    assert moved["motions"]["variations"] == 2
+    assert moved["columns"]["1/sim"]["windows"] == 60
+    validated = read_numbers(tmp_path / "into" / "running-t3-1-seed0.json")
+    assert validated["columns"] == {} and validated["history"]
 
 
-def test_the_committed_table_is_that_of_the_code():
-    record = results("table")
-    for name, row in record["rows"].items():
-        of = ROWS[name]
-        assert (of.config, asdict(of.augmentation), of.iterations) == (
-            TNTConfig.from_dict(row["config"]),
-            row["augmentation"],
-            row["iterations"],
-        ), name
-    for row in (ROWS[name] for name in record["table"] if ROWS[name].group == "comparison"):
-        columns = record["table"][row.name]
-        assert {column.split("/")[0] for column in columns} == set(row.trained_on)
-        assert all(len(part["seeds"]) == 5 for part in columns.values()), row.name
+def test_versions_of_windows_by_hand():
+    recordings = Recordings.from_events(
+        [structured([[0, 10, 99, 100], [1, 2, 3, 4], [0, 5, 9, 9], [0, 1, 1, 0]])], [7], ["a"]
+    )
+    windows = Windows(recordings, np.array([0]), np.array([0]))
+    versions = with_versions(windows, ("flipped y", "reversed"), (8, 10), 100)
+    assert versions.labels.tolist() == [7] * 4 and len(versions) == 4
+    seen = [[column.tolist() for column in versions.events(i, 100)] for i in range(4)]
+    recorded = [[0, 10, 99], [1, 2, 3], [0, 5, 9], [0, 1, 1]]
+    backwards = [[0, 89, 99], [3, 2, 1], [9, 5, 0], [0, 0, 1]]
+    flipped = [[0, 10, 99], [1, 2, 3], [9, 4, 0], [0, 1, 1]]
+    both = [[0, 89, 99], [3, 2, 1], [0, 4, 9], [0, 0, 1]]
+    assert seen == [recorded, backwards, flipped, both]
+    assert len(with_versions(windows, VERSIONS, (8, 10), 100)) == 8
+    both_axes = with_versions(windows, ("flipped x and y",), (8, 10), 100).events(1, 100)
+    assert [column.tolist() for column in both_axes[1:3]] == [[6, 5, 4], [9, 4, 0]]
+
+
+@settings(max_examples=50)
+@given(arrays(np.int8, array_shapes(min_dims=2, max_dims=2), elements=st.integers(-1, 1)))
+def test_which_windows_were_right_comes_back_from_its_text(right):
+    text = json.loads(json.dumps(packed(right)))
+    np.testing.assert_array_equal(unpacked(text), right)
+    assert ("windows" in text) == bool((right < 0).any())
+
+
+def test_the_recorded_networks_are_those_of_the_code():
+    for network in recorded_networks():
+        row = ROWS[network["row"]]
+        assert network["trained_on"] in row.trained_on
+        assert TNTConfig.from_dict(network["config"]) == row.config
+        assert network["settings"]["augmentation"] == asdict(row.augmentation)
+        assert network["settings"]["iterations"] == row.iterations
+        assert (tuple(network["versions"]), network["is_scaled"]) == (row.versions, row.is_scaled)
+        tested = {column.split("/")[0] for column in network["columns"]}
+        assert tested == ({network["trained_on"]} if row.is_tested else set())
