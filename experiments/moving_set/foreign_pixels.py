@@ -48,8 +48,9 @@ SETTINGS = {
 """Settings of v2e's pixels: the defaults of its command line."""
 
 FRAME_US = 150.0
-"""Time between two frames that v2e sees, in microseconds. v2e warns of frames that are apart by more
-than .3 of the time constant of its low-pass, which is 531 us."""
+"""Time between two frames that v2e sees, in microseconds.
+
+v2e warns of frames that are apart by more than .3 of the time constant of its low-pass, 531 us."""
 
 WHITE = 255.0
 """Value of the brightest pixel in v2e's frames."""
