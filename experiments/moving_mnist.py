@@ -22,7 +22,16 @@ from experiments.motions.scene import Scene
 from experiments.moving_set.build import build
 from experiments.moving_set.comparison import compare, recordings_by_image
 from experiments.moving_set.manifest import MANIFEST, MovingMnist
-from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
+from experiments.records.files import add_result, result_of
+from experiments.records.run import command_line
+from experiments.scripts.options import (
+    add_folder,
+    data_folder,
+    exit_with,
+    plain_parser,
+    writable_file,
+)
+from experiments.speed.timing import machine
 
 Columns = Mapping[str, dict[str, float]]
 """Title of a column of statistics -> name of a number -> the number."""
@@ -109,6 +118,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "$TNT_DATA/nmnist where it exists)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument(
+        "--result",
+        type=writable_file,
+        metavar="FILE",
+        help="also put the comparison there, beside those of other motions: "
+        "experiments/results/simulated.json",
+    )
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -148,8 +164,13 @@ def main(argv: list[str] | None = None) -> int:
         advice = f"finished shards are kept in {args.out}. Give the same command again to resume."
         raise KeyboardInterrupt(f"interrupted; {advice}") from None
 
+    answer = _as_json(moving_set, columns, args.motions, seconds)
+    if args.result is not None:
+        numbers = {"statistics": answer["statistics"], "machine": machine()}
+        result = result_of(numbers, command_line(args.module))
+        add_result(args.result, args.motions, result)
     if args.json:
-        say(json.dumps(_as_json(moving_set, columns, args.motions, seconds)))
+        say(json.dumps(answer))
     else:
         _print(moving_set, columns, seconds, exported=args.bin, compared=nmnist is not None)
     return 0

@@ -4,7 +4,7 @@
 
 A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`.
 RESULTS.md is written as a whole. `--check` changes nothing, and exits with 1 if a file differs from
-the results. A test makes the same check.
+the results, or if a result is not as a run of a known commit wrote it. A test makes the same check.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable
 
 from async_tnt.base.files import write_text
+from experiments.records.files import problems
 from experiments.records.run import ROOT
 from experiments.scripts.options import exit_with, plain_parser
 from experiments.tables import accuracy, datasets, decisions, differences, sections, thesis
@@ -67,6 +68,9 @@ def main(argv: list[str] | None = None) -> int:
         "--check", action="store_true", help="change nothing; exit code 1 if something would change"
     )
     args = parser.parse_args(argv)
+    wrong = problems()
+    for problem in wrong:
+        print(problem)
     stale = False
     for page, make in PAGES.items():
         path = ROOT / page
@@ -78,7 +82,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{page}: {'differs from the results' if args.check else 'written'}")
         if not args.check:
             write_text(path, after)
-    return int(stale and args.check)
+    return int(args.check and (stale or bool(wrong)))
 
 
 if __name__ == "__main__":

@@ -245,6 +245,26 @@ def recipes(report: dict[str, Any]) -> str:
     return table(["", *sets], rows)
 
 
+@of_report("simulated")
+def simulated(report: dict[str, Any]) -> str:
+    """A table of statistics of N-MNIST's recordings, and of simulated recordings."""
+    first = next(iter(report.values()))["statistics"]
+    columns = {name: first[name] for name in ("N-MNIST", "simulated")}
+    columns |= {motions: entry["statistics"]["this set"] for motions, entry in report.items()}
+    rows = [
+        [name, *(_statistic(column[name]) for column in columns.values())]
+        for name in columns["N-MNIST"]
+    ]
+    return table(["", *columns], rows)
+
+
+def _statistic(value: float | None) -> str:
+    """The text of a statistic: three digits of large numbers, two decimals of small ones."""
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.2f}"
+
+
 def everywhere() -> str:
     """A table of F1 in scenes of real recordings, for the bundled map model and for all models."""
     models = results("everywhere")["models"]

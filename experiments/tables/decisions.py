@@ -33,7 +33,10 @@ incremental_machine = of_report("incremental")(about_machine)
 
 
 def speed() -> str:
-    """README's table of speed."""
+    """README's table of speed.
+
+    Times in one process have two numbers: decisions in a row, and engines that alternate.
+    """
     report = results("decisions")
     names = {
         "incremental": "async_tnt",
@@ -48,12 +51,13 @@ def speed() -> str:
     }
     rows = []
     for n in ("1", "100", "1300"):
-        us = report["network"][n]["in_blocks"]["us"]
         events = f"{int(n):,} new event{'s' * (n != '1')}"
-        rows.append([f"network, {events}: us", *(short(us[name]["median"]) for name in names)])
-    us = report["end_to_end"]["1"]["in_blocks"]["us"]
+        cells = (_both_modes(report["network"][n], name) for name in names)
+        rows.append([f"network, {events}: us", *cells])
     cells = (
-        short(us[row_of_network[name]]["median"]) if name in row_of_network else ""
+        _both_modes(report["end_to_end"]["1"], row_of_network[name])
+        if name in row_of_network
+        else ""
         for name in names
     )
     rows.append(["packet of 1 event to decision: us", *cells])
@@ -65,6 +69,12 @@ def speed() -> str:
         ["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in rates)]
     )
     return table(["", *names.values()], rows)
+
+
+def _both_modes(times: dict[str, Any], name: str) -> str:
+    """The medians of decisions in a row, and of decisions between those of other engines."""
+    medians = (times[mode]["us"][name]["median"] for mode in ("in_blocks", "call_by_call"))
+    return " / ".join(map(short, medians))
 
 
 def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:

@@ -67,6 +67,8 @@ def effects() -> str:
     for effect in recorded_table()["effects"]:
         by_name.setdefault(effect["effect"], {})[effect["trained_on"], effect["row"]] = effect
     columns = list(dict.fromkeys(column for effect in by_name.values() for column in effect))
+    if not columns:
+        return "Not measured yet: effects need networks of two seeds."
     body = []
     for name, effect_by_column in by_name.items():
         body.append([name, *(_with_interval(effect_by_column[column]) for column in columns)])
@@ -115,7 +117,7 @@ def answer(question: str, measured: Sequence[Difference]) -> str:
         difference for difference in measured if difference["question"] == question
     ]
     if not question_differences:
-        return f"{question}: not measured yet."
+        return f"{question}: not measured yet, with two seeds or more."
     held = [difference for difference in question_differences if holds(difference)]
     sentence = f"{question}: {len(held)} of {len(question_differences)} differences hold."
     if not held:
@@ -135,42 +137,38 @@ def answer(question: str, measured: Sequence[Difference]) -> str:
 
 
 def thesis_answers() -> str:
-    """A table of the differences between rows that transform events and the thesis' Baseline.
+    """A table of all differences between rows that transform events and the thesis' Baseline.
 
-    The columns are the rows and what they were trained on. There is a line for each simulated set
-    on which at least one difference holds, and only differences that hold are shown.
+    The columns are the rows and what they were trained on; there is a line for each test. Each
+    difference has its interval, and is bold if it holds. A sentence above counts those that hold,
+    gains and losses.
     """
-    to_baseline = [
-        difference
-        for difference in _differences()
-        if difference["against"] == BASELINE and _test(difference["column"]) in SETS
-    ]
-    means = {
-        (difference["row"], difference["column"]): signed(difference["mean"])
-        for difference in to_baseline
-        if holds(difference)
-    }
-    titles_of_training = {"all": "all saccades", "1": "the first saccade"}
-
-    body = []
-    for name in SETS:
-        cells = [
-            means.get((row, f"{trained_on}/{name}"), "")
-            for trained_on in titles_of_training
-            for row in TRANSFORMED
-        ]
-        if any(cells):
-            body.append([name, *cells])
-    column_titles = [
-        f"{ROWS[row].title}, {training_title}"
-        for training_title in titles_of_training.values()
-        for row in TRANSFORMED
-    ]
+    to_baseline = [difference for difference in _differences() if difference["against"] == BASELINE]
+    if not to_baseline:
+        return "Not measured yet: a difference needs networks of two seeds."
+    n_gains = sum(holds(difference) and difference["mean"] > 0 for difference in to_baseline)
+    n_losses = sum(holds(difference) and difference["mean"] < 0 for difference in to_baseline)
+    seeds = sorted({difference["seeds"] for difference in to_baseline})
     sentence = (
-        f"{len(to_baseline)} differences to the Baseline were tested on simulated sets. The table "
-        "has those that hold. Columns: the row, and what it was trained on."
+        f"Of {len(to_baseline)} differences to the Baseline, {n_gains + n_losses} hold: "
+        f"{n_gains} gains and {n_losses} losses ({' or '.join(map(str, seeds))} seeds). All of "
+        "them, with 95 % intervals, those that hold in bold:"
     )
-    return f"{sentence}\n\n{table(['simulated set', *column_titles], body)}"
+    by_cell = {(difference["row"], difference["column"]): difference for difference in to_baseline}
+    tests = list(
+        dict.fromkeys(
+            _test(column) for column in in_order(difference["column"] for difference in to_baseline)
+        )
+    )
+    titles_of_training = {"all": "all saccades", "1": "the first saccade"}
+    shown_columns = [(row, trained_on) for trained_on in titles_of_training for row in TRANSFORMED]
+    body = []
+    for test in tests:
+        found = (by_cell.get((row, f"{trained_on}/{test}")) for row, trained_on in shown_columns)
+        cells = ["" if difference is None else _with_interval(difference) for difference in found]
+        body.append([test, *cells])
+    head = [f"{ROWS[row].title}, {titles_of_training[on]}" for row, on in shown_columns]
+    return f"{sentence}\n\n{table(['tested on', *head], body)}"
 
 
 def holds(difference: Difference) -> bool:

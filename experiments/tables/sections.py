@@ -164,7 +164,7 @@ SECTIONS = (
         text=INPUTS,
         command=(
             "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows comparison "
-            "representations --into experiments/results/table.json"
+            "representations --into experiments/results/thesis"
         ),
         tables={
             datasets.representations: "Accuracy and costs, by input",
@@ -211,8 +211,8 @@ SECTIONS = (
         title="The thesis' table",
         text=THESIS,
         command=(
-            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --into "
-            "experiments/results/table.json"
+            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --v2e V2E --into "
+            "experiments/results/thesis"
         ),
         picture="directions",
         tables={
@@ -224,7 +224,9 @@ SECTIONS = (
                 "On nine sets of 30 simulated motions; bold: better or worse than the Baseline"
             ),
             differences.effects: "What the gain depends on",
-            thesis.comparison: "The comparison: 3,000 steps, t_max 2, five seeds",
+            thesis.comparison: "The comparison: 3,000 steps, t_max 2",
+            thesis.t_max: "How t_max was chosen: TNT about the running centroid",
+            thesis.foreign: "The motions of *sim*, seen by the pixels of v2e",
             differences.differences: (
                 "Differences and their 95 % intervals; bold: holds among all of its question"
             ),
@@ -257,11 +259,12 @@ SECTIONS = (
         title="Re-synthesized motions",
         text=MOTIONS,
         command=(
-            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions --into "
-            "experiments/results/table.json"
+            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --v2e V2E --rows motions "
+            "--into experiments/results/thesis"
         ),
         tables={
             thesis.resynthesis: "Accuracy",
+            thesis.controls: "Beside the best of the cheap ways",
             thesis.resynthesis_match: "How well the recorded motion is matched",
         },
     ),
@@ -284,8 +287,7 @@ SECTIONS = (
             accuracy.unseen_volumes: (
                 "The saccades by what is learned from: `--set volumes --seeds 1 --json "
                 "experiments/results/unseen_volumes.json`. The default was set after this was "
-                "seen; held-out windows in other motions are ordered alike: .897, .922, .826, "
-                ".915, .879"
+                "seen"
             ),
         },
     ),
@@ -367,7 +369,13 @@ SECTIONS = (
     Section(
         title="Simulated and real recordings",
         text=SIMULATED,
-        command="experiments.moving_mnist --mnist MNIST --out moving --nmnist N-MNIST",
+        command=(
+            "experiments.moving_mnist --mnist MNIST --out moving --digits 1000 --nmnist N-MNIST "
+            "--result experiments/results/simulated.json"
+        ),
+        tables={
+            datasets.simulated: "Means of a saccade",
+        },
     ),
     Section(
         title="Network",

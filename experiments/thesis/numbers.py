@@ -181,6 +181,8 @@ def markdown_table(
     The thesis' numbers follow in brackets.
     """
     rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
+    if not rows:
+        return "Not measured yet."
     columns = columns or in_order(column for row in rows for column in table[row])
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
     for row in rows:

@@ -6,8 +6,8 @@ A fixture runs the laboratory's commands as a function.
 import importlib
 
 import pytest
-from small_sets import write_small_mnist, write_small_nmnist
 
+from experiments.digit_data.small_sets import write_small_mnist, write_small_nmnist
 from experiments.scripts.options import exit_with
 
 

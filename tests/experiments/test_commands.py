@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
-import importlib.util
+import importlib
 import io
 import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_sets import write_small_mnist
 
 import experiments
 from async_tnt.cli.options import volume_of
 from experiments import decisions, edges
+from experiments import quick as quick_commands
 from experiments.digit_data.mnist import load_mnist
 from experiments.digit_data.nmnist_files import write_nmnist
+from experiments.digit_data.small_sets import write_small_mnist, write_small_nmnist
 from experiments.motions.simulated_digits import simulate_digit
 from experiments.tables.parts import RESULTS
+
+QUICK_HERE = ("edges", "volumes")
+"""Commands that take a few seconds with small made data."""
 
 COMMANDS = [
     path
@@ -131,7 +138,48 @@ def test_inputs_that_are_compared_are_different_ones():
     for volumes in (of_cars, [words[1] for words in unseen_motions.VOLUMES.values()]):
         configs = {default_config(**volume_of(volume)) for volume in volumes}
         assert len(configs) == len(volumes)
-    found = cars.with_earlier(
-        {"recipes": {"bare": 3}}, {"recipes": {"bare": 1, "an older one": 2}}, ["bare"]
-    )
-    assert found == {"recipes": {"bare": 3, "an older one": 2}}
+
+
+@pytest.fixture
+def small_sets(tmp_path):
+    """A folder with small made sets, as `experiments.quick` has it."""
+    (tmp_path / "mnist").mkdir()
+    write_small_mnist(tmp_path / "mnist", 60)
+    first_number = quick_commands.FIRST_NUMBER
+    write_small_nmnist(tmp_path / "nmnist", n_train=4, first_number=first_number)
+    return tmp_path
+
+
+class ParsedError(Exception):
+    """Raised where a command has understood its options."""
+
+
+@pytest.mark.parametrize("name, words", quick_commands.commands())
+def test_commands_on_the_page_of_results_are_understood(name, words, monkeypatch, tmp_path):
+    pytest.importorskip("torch", reason="torch is not installed")
+    parse = argparse.ArgumentParser.parse_args
+
+    def parse_only(self, *arguments):
+        parse(self, *arguments)
+        raise ParsedError
+
+    monkeypatch.chdir(tmp_path)
+    for folder in ("experiments/results", "docs/images"):
+        Path(folder).mkdir(parents=True)
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_only)
+    with pytest.raises(ParsedError):
+        importlib.import_module(f"experiments.{name}").main(shlex.split(words))
+
+
+def test_every_command_on_the_page_of_results_can_be_tried():
+    on_page = {name for name, _ in quick_commands.commands()} - {"pages", "digits"}
+    assert on_page <= set(quick_commands.QUICK)
+    for name, words in quick_commands.QUICK.items():
+        assert (Path(experiments.__file__).parent / f"{name}.py").is_file()
+        assert set(re.findall(r"{(\w+)}", words)) <= {"out", "nmnist", "mnist"}
+
+
+@pytest.mark.parametrize("name", QUICK_HERE)
+def test_commands_that_take_seconds_run(name, small_sets):
+    failure, _ = quick_commands.run(name, small_sets)
+    assert failure == ""

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_sets import idx_bytes
+
+from experiments.digit_data.small_sets import idx_bytes
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 

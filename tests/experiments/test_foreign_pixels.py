@@ -7,8 +7,8 @@ import textwrap
 
 import numpy as np
 import pytest
-from small_sets import write_small_mnist
 
+from experiments.digit_data.small_sets import write_small_mnist
 from experiments.moving_set.build import open_set
 from experiments.moving_set.foreign_pixels import SETTINGS, WHITE, build_foreign
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made import random_events
-from small_sets import idx_bytes
 
 from experiments.digit_data.mnist import load_mnist
+from experiments.digit_data.small_sets import idx_bytes
 from experiments.moving_set.shards import open_shard, write_shard
 
 RECORDINGS = [random_events(n, seed=n, duration_us=1_000) for n in (5, 0, 9, 3)]

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from small_sets import write_small_mnist
+
+from experiments.digit_data.small_sets import write_small_mnist
 
 torch = pytest.importorskip("torch")
 

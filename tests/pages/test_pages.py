@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pages.snippets import ROOT, blocks
-from small_sets import write_pictures, write_small_mnist
+from small_sets import write_pictures
 from training.gestures import bar, write
 
 from async_tnt.cli import main
 from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources import READERS, sample_recordings
 from async_tnt.training import simulated_pictures
+from experiments.digit_data.small_sets import write_small_mnist
 from experiments.moving_set.build import build
 from experiments.tables.parts import results
 
