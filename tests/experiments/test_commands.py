@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import importlib
 import io
-import json
 import re
 import shlex
 from pathlib import Path
@@ -22,7 +21,8 @@ from experiments.digit_data.mnist import load_mnist
 from experiments.digit_data.nmnist_files import write_nmnist
 from experiments.digit_data.small_sets import write_small_mnist, write_small_nmnist
 from experiments.motions.simulated_digits import simulate_digit
-from experiments.tables.parts import RESULTS
+from experiments.records.files import read_numbers
+from experiments.tables.parts import results
 
 QUICK_HERE = ("edges", "volumes")
 """Commands that take a few seconds with small made data."""
@@ -54,7 +54,7 @@ def quick(tmp_path_factory):
         words = ["--quick", "--json", str(folder / "d.json"), "--picture", str(folder / "d.png")]
         assert decisions.main(words) == 0
     return (
-        json.loads((folder / "d.json").read_text(encoding="utf-8")),
+        read_numbers(folder / "d.json"),
         printed.getvalue(),
         folder / "d.png",
     )
@@ -72,7 +72,7 @@ def test_every_row_is_timed_or_left_out_with_a_reason(quick):
 
 
 def test_the_recorded_run_was_a_full_one_of_this_script(quick):
-    recorded = json.loads((RESULTS / "decisions.json").read_text(encoding="utf-8"))
+    recorded = results("decisions")
     assert {k: recorded["settings"][k] for k in decisions.FULL} == decisions.FULL and not recorded[
         "settings"
     ]["quick"]
@@ -114,7 +114,7 @@ def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(incremental, "NETWORKS", two)
     words = ["--quick", "--json", str(tmp_path / "i.json"), "--picture", str(tmp_path / "i.png")]
     assert incremental.main(words) == 0
-    report = json.loads((tmp_path / "i.json").read_text(encoding="utf-8"))
+    report = read_numbers(tmp_path / "i.json")
     text = capsys.readouterr().out
     assert list(report["networks"]) == list(two) and all(name in text for name in two)
     for row in report["networks"].values():

@@ -23,6 +23,7 @@ from async_tnt.sources import READERS, sample_recordings
 from async_tnt.training import simulated_pictures
 from experiments.digit_data.small_sets import write_small_mnist
 from experiments.moving_set.build import build
+from experiments.records.files import read_numbers
 from experiments.tables.parts import results
 
 PAGES = [
@@ -238,7 +239,7 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):
     picture = tmp_path / "equivariance.png"
     report = tmp_path / "equivariance.json"
     assert figure_equivariance.main(["--picture", str(picture), "--json", str(report)]) == 0
-    found = json.loads(report.read_text())["errors"]
+    found = read_numbers(report)["errors"]
     recorded = results("equivariance")["errors"]
     pixels = {"volume": 1, "convolution 1": 1, "pooling 1": 2, "convolution 2": 2, "pooling 2": 4}
     for name, of_layer in found.items():
