@@ -29,6 +29,7 @@ QUICK = {
     "bare": "--quick --json {out}/x.json",
     "cars": "--quick --json {out}/x.json",
     "decisions": "--quick --json {out}/x.json",
+    "early": "--nmnist {nmnist} --json {out}/x.json",
     "edges": "--quick --nmnist {nmnist} --mnist {mnist}",
     "everywhere": "digits-everywhere --quick --nmnist {nmnist}",
     "few_recordings": "--quick --nmnist {nmnist} --mnist {mnist}",

@@ -239,9 +239,9 @@ def nothing(report: dict[str, Any]) -> str:
     return table(head, rows)
 
 
-def early() -> str:
+@of_report("early")
+def early(report: dict[str, Any]) -> str:
     """A table of early decisions, by time and by confidence."""
-    report = results("early")
     rows = [
         [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]
         for row in report["accuracy_against_time"]

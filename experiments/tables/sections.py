@@ -173,7 +173,7 @@ SECTIONS = (
     Section(
         title="Early decisions",
         text=EARLY,
-        command="async_tnt evaluate digits N-MNIST --json > experiments/results/early.json",
+        command="experiments.early --nmnist N-MNIST --json experiments/results/early.json",
         tables={
             accuracy.early: "By time, and by confidence",
         },
