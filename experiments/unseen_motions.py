@@ -16,7 +16,8 @@ whole      all recordings of N-MNIST with all of their events, trained with re-s
 
 All training recordings move in one direction, to the right or as in the first saccade. The networks
 are tested in this motion and in others, and are compared with networks that are trained in all
-directions. The commands with and without re-synthesis differ by one option:
+directions. Hands are also shown to networks by cheap ways to other directions, as
+controls. The commands with and without re-synthesis differ by one option:
 
     async-tnt train OBJECTS --sensor WxH --window-us US
     async-tnt train OBJECTS --sensor WxH --window-us US --motions resynthesized
@@ -43,7 +44,9 @@ from async_tnt.training.pipeline import pipeline_of
 from async_tnt.volume.sensor import format_size
 from experiments.digit_data import thinned_saccades
 from experiments.digit_data.recordings import CLASSES, SACCADE_US
+from experiments.motions.versions import FLIPPED
 from experiments.objects import hands
+from experiments.objects.versions import GROUPS, write_versions
 from experiments.scripts.options import (
     add_count,
     add_folder,
@@ -78,6 +81,43 @@ SETS = ("hands", *OF_NMNIST)
 MOVED = ("--motions", "resynthesized")
 """Option of `train` for motion re-synthesis."""
 
+
+@dataclass(frozen=True)
+class Mode:
+    """A way to train.
+
+    Parameters
+    ----------
+    directions : directions of the recordings, in radians.
+    options : options of `train`.
+    versions : versions in which each recording is shown, too, see `objects.versions`.
+    epochs : number of epochs without versions; None: the default of `train`. With versions it is
+        divided by their number, so that all ways have as many steps.
+    """
+
+    directions: tuple[float, ...]
+    options: tuple[str, ...] = ()
+    versions: tuple[str, ...] = ()
+    epochs: int | None = None
+
+
+TURNED = "turned"
+"""Version of a recording that is turned by any angle."""
+
+UNSIGNED = ("--volume", "polarity=unsigned")
+"""Option of `train` that leaves out polarity."""
+
+CHEAP_WAYS = {
+    "turned": Mode(RIGHT, (), (TURNED,), 25),
+    "reversed": Mode(RIGHT, (), ("reversed",), 25),
+    "flipped": Mode(RIGHT, (), FLIPPED, 25),
+    "unsigned": Mode(RIGHT, UNSIGNED, (), 25),
+    "unsigned, turned, reversed, flipped": Mode(
+        RIGHT, UNSIGNED, (TURNED, *FLIPPED, "reversed"), 25
+    ),
+}
+"""Cheap ways to other directions of hand motion, the controls of re-synthesis."""
+
 VOLUMES = {
     "counts": ("--volume", "representation=count,polarity=split,transform=none"),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
@@ -106,7 +146,7 @@ class MadeSet:
     write : function that writes training recordings. It is called with folder, number of recordings
         of each class, directions, and seed.
     n_train, n_test : numbers of recordings of each class; None: all.
-    modes : name of a way to train -> directions of the recordings, and options of `train`.
+    modes : name of a way to train -> its recordings and options.
     tests : name of a test -> directions of the recordings, and function that writes them.
     simulated : function that is called with models, a folder and a number of images, and gives the
         accuracy of each model in simulated motions. None: there is no such test.
@@ -118,7 +158,7 @@ class MadeSet:
     write: Callable[..., Path]
     n_train: int | None
     n_test: int | None
-    modes: Mapping[str, tuple[tuple[float, ...], tuple[str, ...]]]
+    modes: Mapping[str, Mode]
     tests: Mapping[str, tuple[tuple[float, ...], Callable[..., Path]]]
     simulated: Callable[[list[Path], Path, int], list[float]] | None = None
 
@@ -138,7 +178,7 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
             write_hands,
             160,
             40,
-            _modes(RIGHT, EIGHTHS, ("--epochs", "25")),
+            {**_modes(RIGHT, EIGHTHS, 25), **CHEAP_WAYS},
             {
                 "recorded motion": (RIGHT, write_hands),
                 "other motions": (OTHERS, write_hands),
@@ -164,7 +204,7 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
         )
         sets_by_name["volumes"] = replace(
             sets_by_name["saccades"],
-            modes={name: ((0,), (*MOVED, *options)) for name, options in VOLUMES.items()},
+            modes={name: Mode((0,), (*MOVED, *options)) for name, options in VOLUMES.items()},
         )
         sets_by_name["whole"] = MadeSet(
             CLASSES,
@@ -173,7 +213,7 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
             partial(write_training, share=1.0),
             None,
             None,
-            {"resynthesized": ((0,), MOVED)},
+            {"resynthesized": Mode((0,), MOVED)},
             {
                 "first saccade": ((0,), partial(write_test, share=1.0)),
                 "all saccades": ((0, 1, 2), partial(write_test, share=1.0)),
@@ -184,17 +224,16 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
 
 
 def _modes(
-    recorded: tuple[float, ...], every: tuple[float, ...], options: tuple[str, ...] = ()
-) -> dict[str, tuple[tuple[float, ...], tuple[str, ...]]]:
+    recorded: tuple[float, ...], every: tuple[float, ...], epochs: int | None = None
+) -> dict[str, Mode]:
     """Three ways to train: on the recorded directions, re-synthesized, and on all directions.
 
     every : all directions.
-    options : options of `train` for all three.
     """
     return {
-        "recorded": (recorded, options),
-        "resynthesized": (recorded, (*MOVED, *options)),
-        "all directions": (every, options),
+        "recorded": Mode(recorded, epochs=epochs),
+        "resynthesized": Mode(recorded, MOVED, epochs=epochs),
+        "all directions": Mode(every, epochs=epochs),
     }
 
 
@@ -220,39 +259,30 @@ def measure(
                 )
                 for k, (name, (directions, write)) in enumerate(made_set.tests.items())
             }
-            for mode, (directions, options) in made_set.modes.items():
-                if len(directions) == 1:
-                    objects = out / f"one-{seed}"
-                    data_seed = one_seed
-                else:
-                    objects = out / f"all-{seed}"
-                    data_seed = all_seed
-                made_set.write(objects, made_set.n_train, directions, data_seed)
-                model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
-                arguments = [
-                    "--sensor",
-                    format_size(made_set.sensor),
-                    "--window-us",
-                    made_set.window_us,
-                ]
+            for name, mode in made_set.modes.items():
+                data_seed = one_seed if len(mode.directions) == 1 else all_seed
+                objects, options = _data_of(made_set, name, seed, data_seed, out)
+                model = out / f"{_file_name(name)}{seed}.safetensors"
+                arguments: list[object] = ["--sensor", format_size(made_set.sensor)]
+                arguments += ["--window-us", made_set.window_us]
                 arguments += [*options, "--seed", seed, "--out", model, "--json", *extra]
                 records.append(command("train", objects, *arguments).get("motions"))
                 row = {}
                 for test, test_folder in tests.items():
                     row[test] = command("evaluate", model, test_folder, "--json")["accuracy"]
-                results[mode].append(row)
+                results[name].append(row)
                 bar.update()
 
     if made_set.simulated is not None:
-        for mode, rows in results.items():
-            models = [out / f"{mode}{seed}.safetensors" for seed in range(seeds)]
+        for name, rows in results.items():
+            models = [out / f"{_file_name(name)}{seed}.safetensors" for seed in range(seeds)]
             shares = made_set.simulated(models, out / "sim", made_set.n_train or N_IMAGES)
             for row, accuracy_of_model in zip(rows, shares, strict=True):
                 row["simulated motions"] = accuracy_of_model
 
     accuracy: dict[str, dict[str, Any]] = {}
-    for mode, rows in results.items():
-        accuracy[mode] = {
+    for name, rows in results.items():
+        accuracy[name] = {
             test: {"mean": float(np.mean(values)), "seeds": values}
             for test, values in _columns(rows).items()
         }
@@ -268,6 +298,36 @@ def measure(
         "motions": [record for record in records if record],
         "machine": machine("torch"),
     }
+
+
+def _file_name(mode: str) -> str:
+    """The name of a way to train, as files have it."""
+    return mode.replace(",", "").replace(" ", "-")
+
+
+def _data_of(
+    made_set: MadeSet, name: str, seed: int, data_seed: int, out: Path
+) -> tuple[Path, list[str]]:
+    """The training data of a way to train, which are written, and its options of `train`.
+
+    data_seed : seed of the recordings.
+    """
+    mode = made_set.modes[name]
+    kind = "one" if len(mode.directions) == 1 else "all"
+    objects = out / f"{kind}-{seed}"
+    made_set.write(objects, made_set.n_train, mode.directions, data_seed)
+    options = [*mode.options]
+    n_versions = 1
+    if mode.versions:
+        recorded = objects
+        objects = out / f"{_file_name(name)}-{seed}"
+        n_versions = write_versions(
+            recorded, objects, mode.versions, made_set.sensor, made_set.window_us, data_seed
+        )
+        options += ["--groups", GROUPS]
+    if mode.epochs is not None:
+        options += ["--epochs", str(max(1, round(mode.epochs / n_versions)))]
+    return objects, options
 
 
 def _in_simulated_motions(

@@ -37,7 +37,7 @@ from async_tnt import TNTConfig
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.moved_windows import MotionSettings
 from async_tnt.volume.config import Representation
-from experiments.thesis.versions import FLIPPED
+from experiments.motions.versions import FLIPPED
 
 T_MAX = 2.0
 """Scaled time at a window's end, in all rows but the thesis' own and those of the group `t_max`."""
@@ -167,7 +167,7 @@ class Row:
     iterations : steps of the optimizer.
     trained_on : names of `TRAINED_ON`.
     motions : settings of motion re-synthesis; None: windows are not re-synthesized.
-    versions : names of `versions.VERSIONS`: each window is also shown in these versions.
+    versions : names of `motions.versions.VERSIONS`: each window is also shown in these versions.
     is_scaled : whether time is scaled from a window's first event to its last.
     is_tested : whether the networks are tested. Otherwise they are only validated.
     """

@@ -1,16 +1,7 @@
-"""Versions of recorded windows that show other directions of motion, without any simulation.
+"""Windows with their versions, see `motions/versions.py`.
 
-A network that has seen one direction can be shown others by cheap means. They are the controls of
-motion re-synthesis:
-
-    reversed             time runs backwards and polarities are swapped: a brightness that rose
-                         falls. The object moves back on its path
-    flipped x, y         the sensor is mirrored, from left to right or from top to bottom. The
-                         motion is mirrored, and so is the object
-    flipped x and y      both, which turns by 180 degrees
-
-Turning by any angle is an augmentation, and leaving out polarity is a setting of the volume, so
-both need no version.
+Turning by any angle is an augmentation of training, and leaving out polarity is a setting of the
+volume, so neither is a version here.
 """
 
 from __future__ import annotations
@@ -22,12 +13,7 @@ import numpy as np
 
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
-
-FLIPPED = ("flipped x", "flipped y", "flipped x and y")
-"""Versions that are mirrored."""
-
-VERSIONS = (*FLIPPED, "reversed")
-"""Names of all versions."""
+from experiments.motions.versions import FLIPPED, backwards, flipped
 
 
 def with_versions(
@@ -45,27 +31,23 @@ def with_versions(
     window_us : length of the windows.
     """
     flips = ["", *(name for name in names if name in FLIPPED)]
-    backwards = [False, True] if "reversed" in names else [False]
+    directions_of_time = [False, True] if "reversed" in names else [False]
     # each begins with an empty part, because there may be no windows
     columns = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
-    lengths = []
     recorded = [windows.events(i, window_us) for i in range(len(windows))]
-    for flip, is_reversed in itertools.product(flips, backwards):
-        for t, x, y, p in recorded:
-            if "x" in flip.split():
-                x = sensor[0] - 1 - x
-            if "y" in flip.split():
-                y = sensor[1] - 1 - y
+    for flip, is_reversed in itertools.product(flips, directions_of_time):
+        for window in recorded:
+            version = flipped(window, flip, sensor)
             if is_reversed:
-                t, x, y, p = window_us - 1 - t[::-1], x[::-1], y[::-1], 1 - p[::-1]
-            for name, values in zip(COLUMNS, (t, x, y, p), strict=True):
+                version = backwards(version, window_us)
+            for name, values in zip(COLUMNS, version, strict=True):
                 columns[name].append(values.astype(COLUMNS[name]))
-            lengths.append(len(t))
-    n_versions = len(flips) * len(backwards)
+    n_versions = len(flips) * len(directions_of_time)
     recordings = Recordings(
         **{name: np.concatenate(parts) for name, parts in columns.items()},
-        offsets=np.cumsum([0, *lengths]),
+        offsets=np.cumsum([len(part) for part in columns["t"]]),
         labels=np.tile(windows.labels, n_versions),
         names=tuple(windows.recordings.names[r] for r in windows.recording) * n_versions,
     )
-    return Windows(recordings, np.arange(len(lengths)), np.zeros(len(lengths), np.int64))
+    n = n_versions * len(windows)
+    return Windows(recordings, np.arange(n), np.zeros(n, np.int64))

@@ -22,6 +22,7 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import Windows  # noqa: E402
 from async_tnt.volume.events import structured  # noqa: E402
 from experiments import thesis_table  # noqa: E402
+from experiments.motions.versions import VERSIONS  # noqa: E402
 from experiments.moving_set.build import open_set  # noqa: E402
 from experiments.records.files import problem_of, read_json, read_numbers  # noqa: E402
 from experiments.thesis.data import (  # noqa: E402
@@ -41,7 +42,7 @@ from experiments.thesis.numbers import (  # noqa: E402
 from experiments.thesis.right import packed, unpacked  # noqa: E402
 from experiments.thesis.rows import CONTROLS, QUESTIONS, ROWS, SETS, Run  # noqa: E402
 from experiments.thesis.table import recorded_networks  # noqa: E402
-from experiments.thesis.versions import VERSIONS, with_versions  # noqa: E402
+from experiments.thesis.versions import with_versions  # noqa: E402
 
 CONTROL_ROWS = {f"raw-{name}" for name in CONTROLS}
 
