@@ -304,6 +304,14 @@ ACCEPTED = {
         [node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]],
         1,
     ),
+    "a mean that does not say whether it keeps its axes": (
+        [
+            node("ReduceMean", "x", "m", axes=[2, 3]),
+            node("Conv", "m places", "c"),
+            node("Flatten", "c"),
+        ],
+        1,
+    ),
 }
 
 
@@ -313,6 +321,7 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
         "one": np.float32(1),
         "w": np.eye(60, 3, dtype=np.float32),
         "q": np.tri(60, dtype=np.float32) / 60,
+        "places": np.float32([[1, 2], [3, 4], [5, 6]]).reshape(3, 2, 1, 1),
         **ROWS,
     }
     path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))

@@ -209,6 +209,18 @@ def test_a_classifier_is_no_landmark_network():
         Model(SMALL.replace(bins=1), {}, ["a", "b"], network=network)
 
 
+@pytest.mark.parametrize(
+    ("channels", "filters", "groups"), [(3, 4, 2), (4, 3, 2), (4, 2, 4), (4, 0, 2), (4, 0, 1)]
+)
+def test_groups_divide_channels_and_filters(channels, filters, groups):
+    op, parameters = conv()
+    layers = chain((op, parameters | {"groups": groups}))
+    shapes = {"w": (filters, channels // groups, 1, 1)}
+    message = f"{groups} groups must divide its {channels} channels and {filters} filters"
+    with pytest.raises(ValueError, match=rf"^layer 'conv 0' \(conv\): {message}$"):
+        layer_shapes(layers, (channels, 6, 5), shapes)
+
+
 BATCH_NORM = ("mean", "variance", "weight", "bias")
 
 
