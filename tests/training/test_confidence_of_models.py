@@ -159,17 +159,34 @@ def test_a_network_is_calibrated_if_it_ends_in_weights(end, expected):
     np.testing.assert_allclose(softer_logits, logits / temperature, rtol=1e-5, atol=1e-6)
 
 
-def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
-    """The record is of the held-out windows after the calibration, which changes the model."""
+ENDS_IN_A_MEAN = """
+from torch import nn
+
+def build(channels, grid, n_classes):
+    return nn.Sequential(nn.Conv2d(channels, n_classes, 5), nn.AdaptiveAvgPool2d(1), nn.Flatten())
+"""
+"""A user's own network, whose last layer has no weights."""
+
+
+@pytest.mark.parametrize("is_calibrated", [True, False])
+def test_the_record_of_a_model_tells_what_the_saved_model_does(is_calibrated, tmp_path):
+    """The record is of the held-out windows after the calibration, which changes the model.
+
+    A network that cannot be calibrated stays as it is.
+    """
+    (tmp_path / "own.py").write_text(ENDS_IN_A_MEAN)
+    network = "thesis" if is_calibrated else f"{tmp_path / 'own.py'}:build"
     validation = shapes(40, 1)
     data = TrainingData(CONFIG, CLASSES, shapes(60, 0), validation)
-    settings = TrainSettings(epochs=1, batch=16, augmentation=Augmentation(nothing=0.0))
+    settings = TrainSettings(
+        network=network, epochs=1, batch=16, augmentation=Augmentation(nothing=0.0)
+    )
     data = replace(data, tests={"other day": (shapes(20, 2), {"left_out": ["spot/a.npz: torn"]})})
     fitted = fit(data, settings, tmp_path / "first")
     model = fitted.model
     found = evaluate(pipeline_of(model), validation, times_ms=moments_ms(model)).to_dict()
     told = model.record["validation"]
-    assert model.record["temperature"] != 1 and told["calibration_error"] > 0
+    assert (model.record["temperature"] != 1) == is_calibrated and told["calibration_error"] > 0
     assert told["calibration_error"] == pytest.approx(found["calibration_error"], abs=1e-4)
     one_window = 1 / len(validation)  # rounding may make one of them sure
     assert told["sure_of_nothing"] == pytest.approx(found["sure_of_nothing"], abs=1.1 * one_window)
