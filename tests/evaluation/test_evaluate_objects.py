@@ -259,6 +259,23 @@ def test_boxes_may_have_any_numbers(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, value) for name in "xywh" for value in ("nan", "inf")),
+        *((name, -1) for name in "twh"),
+    ],
+)
+def test_numbers_that_no_box_has_are_refused(name, value, tmp_path):
+    box = {"t": 5, "class": "on", "x": 4, "y": 3, "w": 2, "h": 1}
+    path = tmp_path / "a_objects.csv"
+    lines = [",".join(map(str, row.values())) for row in (box, box | {name: value})]
+    path.write_text("\n".join([",".join(box), *lines]))
+    message = f"{path}: x, y, w and h must be finite, w, h and t at least 0"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        read_table(path, ("on", "off"))
+
+
+@pytest.mark.parametrize(
     ("boxes", "why"),
     [
         (np.zeros((3, 6)), "only integers, slices"),

@@ -71,6 +71,15 @@ REFUSED = [  # nodes, constants, message, opset
         13,
     ),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
+    *(
+        (
+            [node("Flatten", "x", "f"), node("Gemm", "f w b", **attributes)],
+            {"w": np.ones((60, 2), np.float32), "b": ONES},
+            "(Gemm): this Gemm has no compiled form",
+            13,
+        )
+        for attributes in ({"alpha": 0.5}, {"beta": 2.0}, {"transA": 1})
+    ),
     (
         [node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)],
         {},
@@ -304,6 +313,11 @@ ACCEPTED = {
         [node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]],
         1,
     ),
+    "a batch norm without its epsilon": (
+        # of numbers whose variance is as small as the epsilon that is meant
+        [node("BatchNormalization", "x o o z v", "n"), node("Flatten", "n", "f"), LINEAR[1]],
+        1,
+    ),
     "a mean that does not say whether it keeps its axes": (
         [
             node("ReduceMean", "x", "m", axes=[2, 3]),
@@ -321,6 +335,9 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
         "one": np.float32(1),
         "w": np.eye(60, 3, dtype=np.float32),
         "q": np.tri(60, dtype=np.float32) / 60,
+        "o": ONES,
+        "z": 0 * ONES,
+        "v": np.float32(1e-5) * ONES,
         "places": np.float32([[1, 2], [3, 4], [5, 6]]).reshape(3, 2, 1, 1),
         **ROWS,
     }

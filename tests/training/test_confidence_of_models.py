@@ -12,8 +12,15 @@ torch = pytest.importorskip("torch")
 from async_tnt.networks.models.compiled import CompiledClassifier  # noqa: E402
 from async_tnt.networks.models.model import Model  # noqa: E402
 from async_tnt.streaming.processor import Processor  # noqa: E402
-from async_tnt.training.augment import Augmentation  # noqa: E402
-from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
+from async_tnt.training import evaluation as evaluation_module  # noqa: E402
+from async_tnt.training.augment import KINDS as KINDS_OF_NOTHING  # noqa: E402
+from async_tnt.training.augment import ONE_POLARITY, Augmentation  # noqa: E402
+from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.training.evaluation import (  # noqa: E402
+    Evaluation,
+    class_probabilities,
+    evaluate,
+)
 from async_tnt.training.fitting import fit, moments_ms  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
@@ -123,6 +130,38 @@ def test_the_decisions_of_all_moments_are_compared_with_their_own_windows():
     assert found.temperature == fit_temperature(np.tile(right, (2, 1)), np.tile(labels, 2)) < 1
     assert found.sure_of_nothing == {"noise": 0.5}
     assert found.against_time == {50.0: 1.0, 100.0: 1.0}
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_NOTHING.values(), ids=KINDS_OF_NOTHING)
+def test_nothing_is_shown_otherwise_in_each_window_and_always_the_same(kind, monkeypatch):
+    """Also in later batches, here of three windows, whose events are those of the first ones."""
+    monkeypatch.setattr(evaluation_module, "BATCH", 3)
+    seen = []
+    places = set()
+
+    class Watching:
+        """A pipeline that keeps the volumes of each call."""
+
+        config = CONFIG
+        training = False
+        volumes = BatchVolumes(CONFIG)
+
+        def eval(self):
+            pass
+
+        def train(self, training):
+            pass
+
+        def __call__(self, windows, draws):
+            seen.extend(volume.tobytes() for volume in self.volumes(windows, draws))
+            places.update(place.tobytes() for place in draws.place)
+            return torch.zeros(len(windows), 2)
+
+    same = shapes(1, 0)[np.zeros(9, int)]
+    for _ in range(2):
+        class_probabilities(Watching(), same, content=kind)
+    assert seen[:9] == seen[9:] and len(set(seen)) == 9
+    assert len(places) == (2 if kind == ONE_POLARITY else 9)  # all ON or all OFF, or its own share
 
 
 def test_a_calibrated_model_decides_the_same(models):
