@@ -175,7 +175,7 @@ def test_what_is_wrong_is_said(folder, saved, program):
     assert "no recordings NAME.* with a table of objects" in error()
     write_points(folder / "a_td_objects.csv", head="t,class,x")
     assert "lacks y" in error()
-    for head in ("t,class,x,y,w", "t,class,x,y,width,height"):
+    for head in ("t,class,x,y,w", "t,class,x,y,h", "t,class,x,y,width", "t,class,x,y,height"):
         write_points(folder / "a_td_objects.csv", head=head)
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
     for twice in ("t", "class", "x", "y"):

@@ -106,6 +106,42 @@ REFUSED = [  # nodes, constants, message, opset
         14,
     ),
     (
+        [node("BatchNormalization", "x w w w w", spatial=0)],
+        {"w": ONES},
+        "(BatchNormalization): a batch norm in training mode, or of each place, has",
+        8,
+    ),
+    (
+        [node("BatchNormalization", "x w w w w", "y m v a b")],
+        {"w": ONES},
+        "(BatchNormalization): a batch norm in training mode, or of each place, has",
+        13,
+    ),
+    (
+        [node("Shrink", lambd=-0.25, bias=-0.25)],
+        {},
+        "(Shrink): lambd -0.25 and bias -0.25, not one number from 0 on, has no compiled form",
+        13,
+    ),
+    (
+        [node("MaxPool", kernel_shape=[3, 3], ceil_mode=1)],
+        {},
+        "(MaxPool): ceil_mode or indices has no compiled form",
+        13,
+    ),
+    (
+        [node("MaxPool", "x", "y i", kernel_shape=[3, 3])],
+        {},
+        "(MaxPool): ceil_mode or indices has no compiled form",
+        13,
+    ),
+    (
+        [node("Conv", "x w", "c"), node("DepthToSpace", "c", blocksize=2)],
+        {"w": np.ones((4, 2, 3, 3), np.float32)},
+        "(DepthToSpace): mode DCR has no compiled form",
+        13,
+    ),
+    (
         [node("Dropout", "x half yes")],
         {"half": HALF, "yes": YES},
         "(Dropout): a dropout in training mode has",
@@ -327,6 +363,22 @@ ACCEPTED = {
         1,
     ),
 }
+
+
+def test_limits_of_0_that_are_attributes_are_read(tmp_path):
+    """As they were before opset 11."""
+    nodes = [
+        node("Clip", "x", "h", max=0.0),
+        node("Clip", "x", "l", min=0.0),
+        node("Concat", "h l", "c", axis=1),
+        node("GlobalAveragePool", "c", "m"),
+        node("Flatten", "m", "f"),
+        node("MatMul", "f w"),
+    ]
+    weights = {"w": np.arange(12, dtype=np.float32).reshape(4, 3)}
+    path = write_onnx(tmp_path / "m.onnx", nodes, weights, opset=10)
+    # `load_model` also compares the network with onnxruntime.
+    assert len(load_model(path, config=SMALL).classes) == 3
 
 
 @pytest.mark.parametrize("nodes, batch", ACCEPTED.values(), ids=ACCEPTED)
