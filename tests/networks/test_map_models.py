@@ -470,6 +470,9 @@ def test_places_lie_in_the_middle_of_what_they_depend_on():
     blocks = nn.Sequential(nn.Conv2d(1, 8, 3, 4, 1), nn.PixelShuffle(2))
     model = Model.from_torch(blocks, config, ["a"])
     assert (model.places.y0, model.places.dy) == (-1, 2) and model.logits_shape == (2, 30, 30)
+    # a place for each cell of a grid that is no square
+    cells = Model.from_torch(nn.Conv2d(1, 2, 1), config.replace(grid=(60, 30)), ["a"])
+    assert cells.places == pytest.approx((0, 119 / 59, 0, 59 / 29))
     assert load_model("digits").places is None
 
 
