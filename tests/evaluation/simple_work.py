@@ -17,6 +17,10 @@ def twice(number):
     return 2 * number
 
 
+def own_process(number):
+    return os.getpid()
+
+
 def note_limits():
     """Note from now on, in this process, whether a call's limit is still running while its answer
     is sent."""

@@ -175,7 +175,7 @@ def test_what_is_wrong_is_said(folder, saved, program):
     assert "no recordings NAME.* with a table of objects" in error()
     write_points(folder / "a_td_objects.csv", head="t,class,x")
     assert "lacks y" in error()
-    for head in ("t,class,x,y,w", "t,class,x,y,width,height"):
+    for head in ("t,class,x,y,w", "t,class,x,y,h", "t,class,x,y,width", "t,class,x,y,height"):
         write_points(folder / "a_td_objects.csv", head=head)
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
     for twice in ("t", "class", "x", "y"):
@@ -256,6 +256,23 @@ def test_boxes_may_have_any_numbers(tmp_path):
         tables.append(read_table(tmp_path / "a_bbox.npy", ("on", "off")))
     assert tables[0].middle.tolist() == tables[1].middle.tolist()
     assert tables[0].middle[-1].tolist() == [20, 10]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, value) for name in "xywh" for value in ("nan", "inf")),
+        *((name, -1) for name in "twh"),
+    ],
+)
+def test_numbers_that_no_box_has_are_refused(name, value, tmp_path):
+    box = {"t": 5, "class": "on", "x": 4, "y": 3, "w": 2, "h": 1}
+    path = tmp_path / "a_objects.csv"
+    lines = [",".join(map(str, row.values())) for row in (box, box | {name: value})]
+    path.write_text("\n".join([",".join(box), *lines]))
+    message = f"{path}: x, y, w and h must be finite, w, h and t at least 0"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        read_table(path, ("on", "off"))
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from evaluation.simple_work import (
     answer_with,
     end_itself,
     note_limits,
+    own_process,
     raise_odd,
     sent_within_limit,
     sleep_or_end,
@@ -37,6 +38,20 @@ NAMES = [f"{k:02d}" for k in range(40)]
 def test_every_task_is_done_once(run, tmp_path):
     records = list(run(record_of, make_tasks(tmp_path / "set", NAMES), lost=lost_record))
     assert sorted(record["label"] for record in records) == NAMES
+
+
+@pytest.mark.parametrize(
+    ("n_tasks", "workers", "n_processes"), [(8, 2, 2), (8, 3, 3), (2, 4, 2), (1, 2, 1)]
+)
+def test_there_are_as_many_processes_as_workers_and_no_more_than_tasks(
+    n_tasks, workers, n_processes
+):
+    used = {*run_all(own_process, range(n_tasks), workers)}
+    assert len(used) == n_processes and os.getpid() not in used
+
+
+def test_one_worker_is_this_process():
+    assert {*run_all(own_process, range(3), 1)} == {os.getpid()}
 
 
 @posix

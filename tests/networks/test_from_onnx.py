@@ -71,6 +71,15 @@ REFUSED = [  # nodes, constants, message, opset
         13,
     ),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
+    *(
+        (
+            [node("Flatten", "x", "f"), node("Gemm", "f w b", **attributes)],
+            {"w": np.ones((60, 2), np.float32), "b": ONES},
+            "(Gemm): this Gemm has no compiled form",
+            13,
+        )
+        for attributes in ({"alpha": 0.5}, {"beta": 2.0}, {"transA": 1})
+    ),
     (
         [node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)],
         {},
@@ -95,6 +104,42 @@ REFUSED = [  # nodes, constants, message, opset
         {"w": ONES},
         "(BatchNormalization): a batch",
         14,
+    ),
+    (
+        [node("BatchNormalization", "x w w w w", spatial=0)],
+        {"w": ONES},
+        "(BatchNormalization): a batch norm in training mode, or of each place, has",
+        8,
+    ),
+    (
+        [node("BatchNormalization", "x w w w w", "y m v a b")],
+        {"w": ONES},
+        "(BatchNormalization): a batch norm in training mode, or of each place, has",
+        13,
+    ),
+    (
+        [node("Shrink", lambd=-0.25, bias=-0.25)],
+        {},
+        "(Shrink): lambd -0.25 and bias -0.25, not one number from 0 on, has no compiled form",
+        13,
+    ),
+    (
+        [node("MaxPool", kernel_shape=[3, 3], ceil_mode=1)],
+        {},
+        "(MaxPool): ceil_mode or indices has no compiled form",
+        13,
+    ),
+    (
+        [node("MaxPool", "x", "y i", kernel_shape=[3, 3])],
+        {},
+        "(MaxPool): ceil_mode or indices has no compiled form",
+        13,
+    ),
+    (
+        [node("Conv", "x w", "c"), node("DepthToSpace", "c", blocksize=2)],
+        {"w": np.ones((4, 2, 3, 3), np.float32)},
+        "(DepthToSpace): mode DCR has no compiled form",
+        13,
     ),
     (
         [node("Dropout", "x half yes")],
@@ -304,7 +349,36 @@ ACCEPTED = {
         [node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]],
         1,
     ),
+    "a batch norm without its epsilon": (
+        # of numbers whose variance is as small as the epsilon that is meant
+        [node("BatchNormalization", "x o o z v", "n"), node("Flatten", "n", "f"), LINEAR[1]],
+        1,
+    ),
+    "a mean that does not say whether it keeps its axes": (
+        [
+            node("ReduceMean", "x", "m", axes=[2, 3]),
+            node("Conv", "m places", "c"),
+            node("Flatten", "c"),
+        ],
+        1,
+    ),
 }
+
+
+def test_limits_of_0_that_are_attributes_are_read(tmp_path):
+    """As they were before opset 11."""
+    nodes = [
+        node("Clip", "x", "h", max=0.0),
+        node("Clip", "x", "l", min=0.0),
+        node("Concat", "h l", "c", axis=1),
+        node("GlobalAveragePool", "c", "m"),
+        node("Flatten", "m", "f"),
+        node("MatMul", "f w"),
+    ]
+    weights = {"w": np.arange(12, dtype=np.float32).reshape(4, 3)}
+    path = write_onnx(tmp_path / "m.onnx", nodes, weights, opset=10)
+    # `load_model` also compares the network with onnxruntime.
+    assert len(load_model(path, config=SMALL).classes) == 3
 
 
 @pytest.mark.parametrize("nodes, batch", ACCEPTED.values(), ids=ACCEPTED)
@@ -313,6 +387,10 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
         "one": np.float32(1),
         "w": np.eye(60, 3, dtype=np.float32),
         "q": np.tri(60, dtype=np.float32) / 60,
+        "o": ONES,
+        "z": 0 * ONES,
+        "v": np.float32(1e-5) * ONES,
+        "places": np.float32([[1, 2], [3, 4], [5, 6]]).reshape(3, 2, 1, 1),
         **ROWS,
     }
     path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))

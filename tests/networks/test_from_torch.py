@@ -91,7 +91,13 @@ def computes_more_than_it_returns(m, x):
     return m.logits(x)
 
 
-WRITTEN = [depends_on_the_mode, scales_the_volume, computes_more_than_it_returns]
+def limits_at_zero(m, x):
+    """One limit is 0, and there is no other."""
+    h = m.conv(x)
+    return m.logits(torch.clamp(h, max=0) + 2 * h.clamp(0))
+
+
+WRITTEN = [depends_on_the_mode, scales_the_volume, computes_more_than_it_returns, limits_at_zero]
 ALONE = nn.Conv2d(3, 4, (18, 20))
 
 

@@ -209,6 +209,32 @@ def test_a_classifier_is_no_landmark_network():
         Model(SMALL.replace(bins=1), {}, ["a", "b"], network=network)
 
 
+@pytest.mark.parametrize(
+    ("channels", "filters", "groups"), [(3, 4, 2), (4, 3, 2), (4, 2, 4), (4, 0, 2), (4, 0, 1)]
+)
+def test_groups_divide_channels_and_filters(channels, filters, groups):
+    op, parameters = conv()
+    layers = chain((op, parameters | {"groups": groups}))
+    shapes = {"w": (filters, channels // groups, 1, 1)}
+    message = f"{groups} groups must divide its {channels} channels and {filters} filters"
+    with pytest.raises(ValueError, match=rf"^layer 'conv 0' \(conv\): {message}$"):
+        layer_shapes(layers, (channels, 6, 5), shapes)
+
+
+@pytest.mark.parametrize("side", range(4))
+def test_the_padding_of_a_pooling_is_less_than_its_kernel_on_each_side(side):
+    """Of 4 rows and 2 columns."""
+    kernel = [4, 2]
+    padding = [0, 0, 0, 0]
+    padding[side] = kernel[side % 2] - 1
+    parameters = {"kernel": kernel, "stride": [1, 1], "padding": padding}
+    assert layer_shapes(chain(("max_pool", parameters)), (1, 6, 5), {})["max_pool 0"]
+    padding[side] += 1
+    message = f"padding {padding} must be less than kernel {kernel}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        layer_shapes(chain(("max_pool", parameters)), (1, 6, 5), {})
+
+
 BATCH_NORM = ("mean", "variance", "weight", "bias")
 
 

@@ -400,14 +400,18 @@ def test_a_still_object_keeps_its_number_in_noise(likelier):
     assert len(numbers) == 1
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_numbers_are_those_of_the_reference(seed):
-    """Few objects and many, more than may be remembered, at equal distances, and after pauses."""
+@pytest.mark.parametrize(("seed", "sensor"), [(0, (300, 300)), (1, (600, 300)), (2, (300, 600))])
+def test_numbers_are_those_of_the_reference(seed, sensor):
+    """Few objects and many, more than may be remembered, at equal distances, and after pauses.
+
+    The map has 300 x 300 places, so that places may be twice as wide as high, or as high as wide.
+    """
     rng = np.random.default_rng(seed)
     scene = Scene()
-    config = WIDE.replace(window_us=50_000)
+    config = WIDE.replace(sensor=sensor, grid=sensor, window_us=50_000)
     processor = Processor(config, classifier=scene, classes=["a"], every_events=1)
-    numbers = ObjectNumbers((4.0, 4.0), memory_us=config.window_us, most=256, room=512)
+    reach_px = (4 * sensor[0] / 300, 4 * sensor[1] / 300)
+    numbers = ObjectNumbers(reach_px, memory_us=config.window_us, most=256, room=512)
     still = rng.integers(0, 300, (2, 30))
     t_us = 0
     n_most = 0
@@ -466,6 +470,9 @@ def test_places_lie_in_the_middle_of_what_they_depend_on():
     blocks = nn.Sequential(nn.Conv2d(1, 8, 3, 4, 1), nn.PixelShuffle(2))
     model = Model.from_torch(blocks, config, ["a"])
     assert (model.places.y0, model.places.dy) == (-1, 2) and model.logits_shape == (2, 30, 30)
+    # a place for each cell of a grid that is no square
+    cells = Model.from_torch(nn.Conv2d(1, 2, 1), config.replace(grid=(60, 30)), ["a"])
+    assert cells.places == pytest.approx((0, 119 / 59, 0, 59 / 29))
     assert load_model("digits").places is None
 
 
@@ -473,12 +480,29 @@ PIXELS = CONFIG.replace(sensor=(60, 60), grid=(60, 60), bins=1, polarity="unsign
 """A place of a network without stride is a pixel."""
 
 
-def test_places_of_an_adaptive_pooling_divide_the_sensor():
-    """60 rows, as the convolution before it keeps them, by 7, and 60 columns by 10."""
-    net = nn.Sequential(nn.Conv2d(1, 2, 3, padding=1), nn.AdaptiveAvgPool2d((7, 10)))
-    places = Model.from_torch(net, PIXELS, ["a"]).places
-    assert (places.y0, places.dy) == pytest.approx(((60 / 7 - 1) / 2, 60 / 7))
-    assert (places.x0, places.dx) == pytest.approx((2.5, 6))
+@pytest.mark.parametrize(
+    ("padding", "rows", "columns"),
+    [
+        # (first pixel, number of pixels) that are divided, beyond the sensor where they are padded
+        ([1, 1, 1, 1], (0, 60), (0, 60)),
+        ([3, 0, 0, 1], (-2, 61), (1, 59)),
+    ],
+)
+def test_places_of_an_adaptive_pooling_divide_the_map_before_it(padding, rows, columns):
+    """By 7 and by 10. Before it, a convolution of 3 x 3 keeps the middle of what it reads."""
+    window = {"kernel": [3, 3], "stride": [1, 1], "padding": padding, "dilation": [1, 1]}
+    conv = {"op": "conv", "name": "conv", "inputs": ["volume"], **window, "groups": 1}
+    pool = {"op": "adaptive_average_pool", "name": "pool", "inputs": ["conv"], "size": [7, 10]}
+    layers = [conv | {"weights": {"weight": "w"}}, pool]
+    weights = {"w": np.ones((2, 1, 3, 3), np.float32)}
+    places = Model(PIXELS, weights, ["a"], network={"classifier": layers}).places
+    # the middle of the pixels first, ..., first + size - 1
+    for (first, n), parts, found in (
+        (rows, 7, (places.y0, places.dy)),
+        (columns, 10, (places.x0, places.dx)),
+    ):
+        size = n / parts
+        assert found == pytest.approx((first + (size - 1) / 2, size))
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])

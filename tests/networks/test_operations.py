@@ -40,8 +40,16 @@ PARAMETERS = {
     "depth_to_space": {"block": 2},
 }
 """Operation -> the parameters of its example."""
-WHOLE = {"batch_norm": {"epsilon": 1}, "leaky_relu": {"slope": 2}, "softshrink": {"lambd": 0}}
-"""Operation -> a parameter that is a number, and here a whole one."""
+OTHERS = [
+    # whole numbers
+    ("batch_norm", {"epsilon": 1}),
+    ("leaky_relu", {"slope": 2}),
+    ("softshrink", {"lambd": 0}),
+    # limits of 0, and none
+    ("clip", {"low": 0.0, "high": 6.0}),
+    ("clip", {"low": None, "high": 0}),
+]
+"""Operations, each with parameters other than those of its example."""
 WEIGHTS = {
     "conv": {"weight": (6, 2, 3, 2), "bias": (6,)},
     "dense": {"weight": (3, 4), "bias": (3,)},
@@ -130,7 +138,7 @@ def test_a_name_of_torch_or_onnx_has_one_meaning():
 
 
 @pytest.mark.parametrize(
-    "op, changed", [*((op, {}) for op in OPERATIONS if op != LANDMARK_ONLY), *WHOLE.items()]
+    "op, changed", [*((op, {}) for op in OPERATIONS if op != LANDMARK_ONLY), *OTHERS]
 )
 def test_all_forms_of_an_operation_compute_the_same(op, changed):
     """Compiled, in ONNX, and in the reference, whose layers come back as they are."""

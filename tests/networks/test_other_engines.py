@@ -122,6 +122,7 @@ def test_sides_left_open_need_a_shape():
             r"`shape` must fit the network's input \(1, 2, height, width\), got \(3, 6, 5\)",
         ),
         ((2, 1 << 20, 1 << 20), r"must have at most 268_435_456 cells"),
+        ((2, 1 << 14, (1 << 13) + 1), r"must have at most 268_435_456 cells"),  # of both channels
     ]:
         with pytest.raises(ValueError, match=message):
             OnnxClassifier(content, shape=shape)
@@ -149,6 +150,18 @@ WRONG = [
     ),
     (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
     (
+        network(
+            [
+                node("Flatten", ["image"], ["flat"]),
+                node("Cast", ["flat"], ["scores"], to=TensorProto.DOUBLE),
+            ],
+            outputs=[("scores", (1, 60))],
+            output_dtype=TensorProto.DOUBLE,
+        ),
+        "must have one output, logits (1, n_classes), or a map (1, n_classes + 1, R, C), "
+        "tensor(float); got 'scores' tensor(double) (1, 60)",
+    ),
+    (
         network(inputs=[("image", (2, 2, 6, 5))], outputs=[("scores", (2, 3))]),
         "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of "
         "them; got 'image' tensor(float) (2, 2, 6, 5)",
@@ -167,7 +180,7 @@ WRONG = [
 @pytest.mark.parametrize(
     "content, message",
     WRONG,
-    ids=["two inputs", "two outputs", "float64", "a batch of two", "two maps"],
+    ids=["two inputs", "two outputs", "float64", "float64 logits", "a batch of two", "two maps"],
 )
 def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_path, capfd):
     path = tmp_path / "{what} 100%.onnx"

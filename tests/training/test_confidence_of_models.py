@@ -12,8 +12,15 @@ torch = pytest.importorskip("torch")
 from async_tnt.networks.models.compiled import CompiledClassifier  # noqa: E402
 from async_tnt.networks.models.model import Model  # noqa: E402
 from async_tnt.streaming.processor import Processor  # noqa: E402
-from async_tnt.training.augment import Augmentation  # noqa: E402
-from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
+from async_tnt.training import evaluation as evaluation_module  # noqa: E402
+from async_tnt.training.augment import KINDS as KINDS_OF_NOTHING  # noqa: E402
+from async_tnt.training.augment import ONE_POLARITY, Augmentation  # noqa: E402
+from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.training.evaluation import (  # noqa: E402
+    Evaluation,
+    class_probabilities,
+    evaluate,
+)
 from async_tnt.training.fitting import fit, moments_ms  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
@@ -125,6 +132,38 @@ def test_the_decisions_of_all_moments_are_compared_with_their_own_windows():
     assert found.against_time == {50.0: 1.0, 100.0: 1.0}
 
 
+@pytest.mark.parametrize("kind", KINDS_OF_NOTHING.values(), ids=KINDS_OF_NOTHING)
+def test_nothing_is_shown_otherwise_in_each_window_and_always_the_same(kind, monkeypatch):
+    """Also in later batches, here of three windows, whose events are those of the first ones."""
+    monkeypatch.setattr(evaluation_module, "BATCH", 3)
+    seen = []
+    places = set()
+
+    class Watching:
+        """A pipeline that keeps the volumes of each call."""
+
+        config = CONFIG
+        training = False
+        volumes = BatchVolumes(CONFIG)
+
+        def eval(self):
+            pass
+
+        def train(self, training):
+            pass
+
+        def __call__(self, windows, draws):
+            seen.extend(volume.tobytes() for volume in self.volumes(windows, draws))
+            places.update(place.tobytes() for place in draws.place)
+            return torch.zeros(len(windows), 2)
+
+    same = shapes(1, 0)[np.zeros(9, int)]
+    for _ in range(2):
+        class_probabilities(Watching(), same, content=kind)
+    assert seen[:9] == seen[9:] and len(set(seen)) == 9
+    assert len(places) == (2 if kind == ONE_POLARITY else 9)  # all ON or all OFF, or its own share
+
+
 def test_a_calibrated_model_decides_the_same(models):
     model = models[0.0]
     calibrated_model, temperature = calibrated(model, 2.5)
@@ -159,17 +198,34 @@ def test_a_network_is_calibrated_if_it_ends_in_weights(end, expected):
     np.testing.assert_allclose(softer_logits, logits / temperature, rtol=1e-5, atol=1e-6)
 
 
-def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
-    """The record is of the held-out windows after the calibration, which changes the model."""
+ENDS_IN_A_MEAN = """
+from torch import nn
+
+def build(channels, grid, n_classes):
+    return nn.Sequential(nn.Conv2d(channels, n_classes, 5), nn.AdaptiveAvgPool2d(1), nn.Flatten())
+"""
+"""A user's own network, whose last layer has no weights."""
+
+
+@pytest.mark.parametrize("is_calibrated", [True, False])
+def test_the_record_of_a_model_tells_what_the_saved_model_does(is_calibrated, tmp_path):
+    """The record is of the held-out windows after the calibration, which changes the model.
+
+    A network that cannot be calibrated stays as it is.
+    """
+    (tmp_path / "own.py").write_text(ENDS_IN_A_MEAN)
+    network = "thesis" if is_calibrated else f"{tmp_path / 'own.py'}:build"
     validation = shapes(40, 1)
     data = TrainingData(CONFIG, CLASSES, shapes(60, 0), validation)
-    settings = TrainSettings(epochs=1, batch=16, augmentation=Augmentation(nothing=0.0))
+    settings = TrainSettings(
+        network=network, epochs=1, batch=16, augmentation=Augmentation(nothing=0.0)
+    )
     data = replace(data, tests={"other day": (shapes(20, 2), {"left_out": ["spot/a.npz: torn"]})})
     fitted = fit(data, settings, tmp_path / "first")
     model = fitted.model
     found = evaluate(pipeline_of(model), validation, times_ms=moments_ms(model)).to_dict()
     told = model.record["validation"]
-    assert model.record["temperature"] != 1 and told["calibration_error"] > 0
+    assert (model.record["temperature"] != 1) == is_calibrated and told["calibration_error"] > 0
     assert told["calibration_error"] == pytest.approx(found["calibration_error"], abs=1e-4)
     one_window = 1 / len(validation)  # rounding may make one of them sure
     assert told["sure_of_nothing"] == pytest.approx(found["sure_of_nothing"], abs=1.1 * one_window)

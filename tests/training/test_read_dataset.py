@@ -360,8 +360,8 @@ SIX_LAST = {"a/8.npz", "a/9.npz", "a/10.npz", "b/7.npz", "b/8.npz", "b/9.npz"}
 """The three recordings with the highest numbers, of eleven and of ten numbered recordings."""
 
 
-def test_masked_pixels_are_those_of_the_region_that_is_left(tmp_path):
-    """In its own coordinates, for motions that are made again."""
+def test_masked_pixels_are_those_of_the_sensor_that_is_left(tmp_path):
+    """In the coordinates of the region that it is cut to, for motions that are made again."""
     for k, name in enumerate("ab"):
         write(tmp_path / name / "1.npz", recording([1, 2 + k], [12]), sensor=SIZE)
     mask = np.zeros((64, 64), bool)
@@ -371,6 +371,8 @@ def test_masked_pixels_are_those_of_the_region_that_is_left(tmp_path):
         (Pixels(), None, None),
         (Pixels(mask=mask), (64, 64), [(13, 31), (60, 60)]),
         (Pixels((30, 11, 20, 30), True, mask), (30, 20), [(2, 1)]),
+        # a region that is not cropped: the sensor is still the camera
+        (Pixels((30, 11, 20, 30), False, mask), (64, 64), [(13, 31), (60, 60)]),
     ):
         if pixels.roi is not None:
             for k, name in enumerate("ab"):

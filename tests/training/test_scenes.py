@@ -127,6 +127,25 @@ def test_scenes_are_drawn_anew_but_the_same_from_the_same_seed():
         assert away[~np.eye(len(there), dtype=bool)].min(initial=99) > 0.4 * 16 - 1.5
 
 
+def test_an_object_may_stand_anywhere_on_the_scene_and_nowhere_beyond():
+    """On 60 x 48 pixels, as likely at one place as at another."""
+    maker = SceneMaker(CONFIG)
+    rng = np.random.default_rng(0)
+    places = np.array([maker._place(np.empty((0, 2)), rng) for _ in range(1_000)])
+    for axis, last in enumerate((59, 47)):
+        counts, _ = np.histogram(places[:, axis], bins=5, range=(0, last))
+        assert counts.sum() == 1_000  # none is beyond
+        np.testing.assert_allclose(counts, 200, rtol=0.25)
+    # one beside another object does not stand beyond the border either
+    corner = np.array([[59.0, 0.0]])
+    tried = [maker._place(corner, rng) for _ in range(200)]
+    beside = np.array([place for place in tried if place is not None])
+    assert len(beside) > 100 and (beside >= 0).all() and (beside <= (59, 47)).all()
+    # and is away from it by a share of a recording's shorter side, 16 pixels, or more
+    nearest = np.hypot(*(beside - corner).T).min()
+    assert module.APART * 16 <= nearest < module.APART * 16 + 1
+
+
 def test_volumes_that_are_no_sums_are_refused():
     for config in (
         CONFIG.replace(transform="tnt"),

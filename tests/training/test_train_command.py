@@ -89,6 +89,23 @@ def test_a_run_with_other_options_is_refused_before_recordings_are_read(
     assert load_model(out).record["command"].endswith("--seed 1")
 
 
+@pytest.mark.parametrize("more", ["", "--crop", "--crop --mask mask.npy"])
+def test_the_same_pixels_are_the_same_run_and_others_are_another(
+    more, tmp_path, train, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    folder = write_set(tmp_path / "set", {"upright": 2, "flat": 2}, side=34)
+    mask = np.zeros((34, 34), bool)
+    mask[10, 12] = True
+    np.save("mask.npy", mask)
+    words = ("--sensor", "34x34", *more.split(), "--roi")
+    assert train(folder, *words, "3,2,30,28")[0] == 0
+    code, err, _ = train(folder, *words, "3,2,30,28")
+    assert code == 0 and "epoch" not in err, err  # what is finished is not done again
+    code, err, _ = train(folder, *words, "3,2,20,28")
+    assert code == 2 and "the folder holds a run with other " in err, err
+
+
 @pytest.fixture
 def asked(train, monkeypatch):
     """What a command would train on and how: data, settings, and other motions."""

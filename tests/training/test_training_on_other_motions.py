@@ -20,7 +20,7 @@ from async_tnt.training.fitting import fit
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import moved_recordings
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.resynthesis import MotionSettings, resynthesize
+from async_tnt.training.resynthesis import MotionSettings, examples, resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.windows import make_windows
@@ -141,6 +141,29 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(
     resynthesize(*windows, CONFIG, SETTINGS, folder)
     # how many are shown as recorded changes none of them
     resynthesize(*windows, CONFIG, replace(SETTINGS, recorded=0.5), folder)
+
+
+def test_a_figure_shows_the_motions_that_are_in_the_files(windows, made):
+    """Of windows of all files: here each recording is a class, of which the first window is shown.
+
+    So every window has random motions of its own.
+    """
+    motions, _ = made
+    recordings = replace(windows[0].recordings, labels=np.arange(7))
+    training = replace(windows[0], recordings=recordings)
+    shown, _ = examples(replace(motions, training=training), tuple("abcdefg"))
+    chosen = {"abcdefg".index(example.name): example for example in shown}
+    assert len(chosen) == 5 and {2 * k // 5 for k in chosen} == {0, 1, 2}
+    all_others = []
+    for variation in range(2):
+        moved = moved_recordings(motions.files, variation, training.labels, CONFIG)
+        for k, example in chosen.items():
+            other = example.others[variation]
+            of_window = slice(*moved.offsets[2 * k : 2 * k + 2])
+            for name in "txyp":
+                np.testing.assert_array_equal(other[name], getattr(moved, name)[of_window])
+            all_others.append(other)
+    assert len({other.tobytes() for other in all_others}) == 10
 
 
 def test_what_an_epoch_shows(windows, made):

@@ -235,6 +235,22 @@ def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path, 
     assert not any(np.array_equal(a.t, b.t) for a, b in zip(first, other, strict=True))
 
 
+def test_every_recording_has_motions_of_its_own(tmp_path, monkeypatch):
+    """Of one picture that is in two classes and on both sides, and in a figure."""
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 6, "held-out": 6})
+    path = find_pictures(write_pictures(tmp_path / "p", n=1))["bar"][0]
+    scene = SceneSettings(SENSOR, 20_000)
+    with RecordingsWriter() as writer:
+        for part in simulated_pictures.RECORDINGS:
+            twice = [LabelledPicture(path, label) for label in (0, 1)]
+            assert simulate_pictures(writer, part, twice, scene, tmp_path / "a") == 3
+        made = writer.finish()
+    assert len({part.tobytes() for part in np.split(made.t, made.offsets[1:-1])}) == 12
+    shown = example_recordings({"one": [path], "other": [path]}, scene, seed=0)
+    takes = [events.tobytes() for _, _, recordings in shown for events in recordings]
+    assert len(takes) == 2 * simulated_pictures.N_TAKES == len(set(takes))
+
+
 @pytest.mark.parametrize(
     ("sensor", "follow", "n_takes"),
     [

@@ -89,10 +89,21 @@ def test_every_picture_shows_what_the_processor_has(tmp_path, landmark, events, 
         assert points == [pytest.approx(place, abs=1e-4)]
 
 
-def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        # each window is decided at its first event: the next one begins after the pictures of it
+        {"confidence": 1e-9},
+        {"hop_us": 10_000},
+    ],
+    ids=["windows", "confidence", "overlapping"],
+)
+def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path, settings):
     seen = []
     for n_packets in (1, 13, 3000):
-        rrd, _ = view_of(tmp_path, np.array_split(EVENTS, n_packets), picture_us=20_000)
+        packets = np.array_split(EVENTS, n_packets)
+        rrd, _ = view_of(tmp_path, packets, picture_us=20_000, **settings)
         images = rrd.images(log.EVENTS, "SegmentationImage")
         seen.append([(t, image.tobytes()) for t, image in images])
         assert [t for t, _ in images] == rrd.times(log.RAW)
