@@ -62,7 +62,7 @@ def compare(
     split = moving_set.parameters["split"]
     set_images = moving_set.parameters["images"]
     columns: dict[str, dict[str, float]] = {}
-    directions = _nmnist_directions()
+    directions = nmnist_directions()
     if nmnist_folder is None:
         shown_split = split
         shown_images = _spread(set_images)
@@ -98,7 +98,7 @@ def compare(
 
 
 def _describe_set(
-    moving_set: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]
+    moving_set: MovingMnist, images: list[int], bar: Any, saccade_directions: list[float]
 ) -> dict[str, float]:
     """Statistics of the set by `describe_motions`.
 
@@ -114,7 +114,7 @@ def _describe_set(
     pairs = sorted(pairs_shown)
     recordings = _counted(_recordings(moving_set, pairs), bar)
     if moving_set.motions[0].direction_deg is None:
-        return describe_motions(recordings, SACCADE_CUTS_US, nmnist_directions)
+        return describe_motions(recordings, SACCADE_CUTS_US, saccade_directions)
     shown_motions = [moving_set.motions[motion] for motion, _ in pairs]
     directions = [float(motion.direction_deg or 0) for motion in shown_motions]
     return describe_motions(recordings, (0, shown_motions[0].duration_us), directions)
@@ -196,7 +196,7 @@ def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]
     raise FileNotFoundError(f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin")
 
 
-def _nmnist_directions() -> list[float]:
+def nmnist_directions() -> list[float]:
     """Direction of the displacement in each of N-MNIST's saccades, in degrees."""
     dx, dy = nmnist_saccades().position(np.array(SACCADE_CUTS_US))
     return [math.degrees(math.atan2(y, x)) for x, y in zip(np.diff(dx), np.diff(dy), strict=True)]

@@ -11,7 +11,7 @@ from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import EVENT_DTYPE
 from experiments.digit_data.mnist import load_mnist
 from experiments.motions.simulated_digits import simulate_digit
-from experiments.moving_set.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
+from experiments.moving_set.comparison import SACCADE_CUTS_US, describe_motions, nmnist_directions
 
 ALONG = "ON - OFF centroid, along the motion"
 ACROSS = "ON - OFF centroid, across the motion"
@@ -46,8 +46,8 @@ def test_simulations_are_like_the_real_recordings_of_the_same_images(data):
         simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i))
         for i, path in enumerate(paths)
     ]
-    expected = describe_motions(real, SACCADE_CUTS_US, _nmnist_directions())
-    got = describe_motions(simulated, SACCADE_CUTS_US, _nmnist_directions())
+    expected = describe_motions(real, SACCADE_CUTS_US, nmnist_directions())
+    got = describe_motions(simulated, SACCADE_CUTS_US, nmnist_directions())
     both = side_by_side({"real": expected, "simulated": got})
     for name in expected:
         close = {"abs": 0.65} if name.startswith("ON - OFF") else {"rel": 0.12}
