@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,8 @@ def write_versions(
         (folder / path.parent.name).mkdir(parents=True, exist_ok=True)
         for k, version in enumerate(versions):
             to = folder / path.parent.name / f"{path.stem}_{k}.npz"
-            np.savez(to, **dict(zip("txyp", version, strict=True)))
+            named: dict[str, Any] = dict(zip("txyp", version, strict=True))
+            np.savez(to, **named)
     return n_versions
 
 

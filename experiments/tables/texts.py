@@ -160,11 +160,11 @@ with 164 fonts, of Debian 12's packages `fonts-*` of up to 15 MB but `fonts-pc*`
 bitmaps; crops that follow one. HOTS' characters: 1,108 fonts, of those of up to 1 MB; digits and
 letters are classes of their own, O and 0 and I and 1, too. Made objects: ten pictures of each of
 six, a cup and a glass alike but for a detail. N-MNIST's networks were trained when thin objects
-seen from aside still lost more of their area (of MNIST's images 1 %). Choices were made on
-simulated recordings of held-out pictures, with one exception: that pips are drawn upright, as
-fonts draw them, and not also upside down, was chosen after a look at real ones. The real
-recordings had been read by other versions: N-MNIST's six times, POKER-DVS' four times, the
-characters once."""
+seen from aside still lost more of their area (of MNIST's images 1 %). Most choices were made
+on simulated recordings of held-out pictures. Real recordings had a part in others, official test
+recordings of N-MNIST among them: [which](../docs/theory.md#what-came-from-recordings). That pips
+are drawn upright was chosen after a look at real ones. The real recordings had been read by other
+versions: N-MNIST's six times, POKER-DVS' four times, the characters once."""
 
 FEW_PICTURES = """\
 How many real recordings of each class a classifier of N-MNIST needs, with MNIST's 60,000 training
