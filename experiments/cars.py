@@ -39,6 +39,7 @@ from experiments.scripts.options import (
 from experiments.scripts.processes import command
 from experiments.speed.every_event import bench_every_event
 from experiments.speed.timing import interleave, machine, spread, work_clock
+from experiments.speed.touched import bench_touched
 from experiments.tables.datasets import SIZES, recipes_of
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
@@ -98,6 +99,9 @@ OTHERS = {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945}
 
 TIMED = 12
 """Largest number of recordings of the test part on which times are measured."""
+
+MOMENTS = 400
+"""Number of moments at which the multiplications after an event are counted."""
 
 SMOOTHED = 2.0
 """Standard deviation, in pixels, of the Gaussian that spreads the votes over sizes of crops."""
@@ -186,10 +190,11 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Times of a model, measured on the first windows of some recordings.
+    """Times of a model, measured on the first windows of some recordings, and its work.
 
     `event_ns` is the time that an event takes in the volume. `every_event` is the time of a
-    decision after every event, see `bench_every_event`.
+    decision after every event, see `bench_every_event`. `multiplications` is what the network
+    computes after one event, as a mean over many moments, and `whole` what it has at all.
     """
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
@@ -212,7 +217,10 @@ def _costs(path: Path, test: Path) -> dict[str, Any]:
         return nanoseconds / sum(map(len, windows))
 
     event_ns = interleave({"ours": ns_per_event}, 20)["ours"]
+    touched = bench_touched(model, windows, moments=MOMENTS)
     return {
+        "multiplications": touched["1"]["multiplications"],
+        "whole": touched["whole"]["multiplications"],
         "event_ns": spread(event_ns),
         "every_event": bench_every_event(model, {}, windows, rounds=2 * len(windows))["ours"],
     }

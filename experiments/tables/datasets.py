@@ -69,6 +69,35 @@ def cars(report: dict[str, Any]) -> str:
     )
 
 
+PUBLISHED_WORK = {
+    "AsyNet (N. Messikommer et al. 2020)": (21.5, 0.944),
+    "AEGNN (S. Schaefer et al. 2022)": (0.47, 0.945),
+}
+"""Method -> millions of floating point operations after an event on N-CARS, and accuracy.
+
+Both are from table 1 of Schaefer et al., [arXiv:2203.17149](https://arxiv.org/abs/2203.17149)."""
+
+
+@of_report("cars")
+def cars_work(report: dict[str, Any]) -> str:
+    """A table of the work after an event on N-CARS, beside published numbers.
+
+    The operations of a network are two for each multiplication: it is added, too.
+    """
+    rows = [
+        [name, f"{operations:g}", three_digits(accuracy)]
+        for name, (operations, accuracy) in PUBLISHED_WORK.items()
+    ]
+    for name, recipe in recipes_of(report).items():
+        if "multiplications" in recipe:
+            operations = 2 * recipe["multiplications"] / 1e6
+            whole = 2 * recipe["whole"] / 1e6
+            accuracies = [test["accuracy"] for test in recipe["tests"]]
+            title = f"`{name}`, of {whole:.1f} for the whole network"
+            rows.append([title, f"{operations:.2f}", _mean(accuracies)])
+    return table(["", "million operations after an event", "accuracy"], rows)
+
+
 @of_report("cars")
 def cars_confidence(report: dict[str, Any]) -> str:
     """A table of accuracies and times on N-CARS, by the confidence at which windows are decided.

@@ -131,6 +131,7 @@ SECTIONS = (
         picture="cars",
         tables={
             datasets.cars: "Accuracy on the test part by the time since the first event",
+            datasets.cars_work: "Work after an event, beside published numbers",
             datasets.cars_confidence: (
                 "What a level of confidence costs, looked at every 2 ms; *right of all*: windows "
                 "that do not reach it are decided at their ends"
