@@ -1,0 +1,1 @@
+"""Published networks, without their weights: a list of them, and how each is built."""
