@@ -37,6 +37,18 @@ class Plain(nn.Module):
         return F.leaky_relu(x, 0.3)
 
 
+class NormFunction(nn.Module):
+    """F.batch_norm with the tensors of a batch norm."""
+
+    def __init__(self, norm):
+        super().__init__()
+        self.norm = norm
+
+    def forward(self, x):
+        norm = self.norm
+        return F.batch_norm(x, norm.running_mean, norm.running_var, norm.weight, norm.bias)
+
+
 def relu(x):
     return torch.tanh(x)
 
@@ -213,6 +225,21 @@ class _Builder:
                 nn.Sequential(nn.Conv2d(channels, 4 * filters, 1), nn.PixelShuffle(2))
             ),
             lambda: lambda m, x: F.pixel_shuffle(torch.cat([x, x, 2 * x, x], 1), 2),
+            lambda: self.part(
+                nn.ConvTranspose2d(
+                    channels,
+                    filters,
+                    self.pick(2, 4, (2, 4)),
+                    2,
+                    self.pick(0, 0, 1),
+                    groups=groups,
+                    bias=self.pick(True, False),
+                )
+            ),
+            lambda: self.part(nn.Upsample(scale_factor=self.pick(2, 3))),
+            lambda: lambda m, x: F.interpolate(x, scale_factor=2),
+            lambda: lambda m, x: torch.cat([x], 1).clone(),
+            lambda: self.part(NormFunction(norm)),
             lambda: lambda m, x: F.max_pool2d(x, **pool),
             lambda: lambda m, x: F.avg_pool2d(x, pool["kernel_size"], pool["stride"]),
             lambda: lambda m, x: F.dropout(x, 0.4, m.training),

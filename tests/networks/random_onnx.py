@@ -146,6 +146,36 @@ class _Builder:
         self.node("Conv", self.weights(filters, self.shape[0], 1, 1))
         self.node("DepthToSpace", blocksize=2, **({"mode": "CRD"} if crd else {}))
 
+    def transposed(self) -> None:
+        group = self.pick(1, 1, self.shape[0])
+        side, pads = self.pick((2, 0), (4, 1))
+        filters = self.pick(1, 2)
+        inputs = [self.weights(self.shape[0], filters, side, side)]
+        if self.pick(True, False):
+            inputs.append(self.weights(group * filters))
+        attributes = {"strides": [2, 2], "pads": [pads] * 4}
+        if self.chance(0.2):
+            attributes["strides"] = [1, 2]
+        self.node("ConvTranspose", *inputs, **attributes, **({"group": group} if group > 1 else {}))
+
+    def grow(self) -> None:
+        """An upsampling by the nearest place, in the form of the file's opset."""
+        factor = 1.5 if self.chance(0.2) else self.pick(2, 3)
+        scales = self.constant(np.array([1, 1, factor, factor], np.float32))
+        mode = "linear" if self.chance(0.2) else "nearest"
+        if self.opset < 10:
+            self.node("Upsample", scales, mode=mode)
+        elif self.opset < 11:
+            self.node("Resize", scales, mode=mode)
+        else:
+            roi = self.constant(np.zeros(0, np.float32))
+            forms = (
+                {"coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"},
+                {"coordinate_transformation_mode": "half_pixel"},
+                {},
+            )
+            self.node("Resize", roi, scales, mode=mode, **self.pick(*forms))
+
     def affine(self) -> None:
         n = self.shape[0]
         rest = [1] * (len(self.shape) - 1)
@@ -336,11 +366,19 @@ def _trains(of: _Of) -> bool:
     return of.get("training_mode", 0) == 1 or of.n_outputs > 1
 
 
+def _grows_otherwise(of: _Of) -> bool:
+    factors = of.constants[-1].tolist() if of.constants else []
+    return of.get("mode", "nearest") != "nearest" or 1.5 in factors
+
+
 GAPS = {
     "Conv": lambda of: _pads_otherwise(of) or of.get("kernel_shape", []) == [3, 2],
     "MaxPool": _pools_otherwise,
     "AveragePool": _pools_otherwise,
     "DepthToSpace": lambda of: of.get("mode", "DCR") == "DCR",
+    "ConvTranspose": lambda of: of.get("strides", [1, 1]) == [1, 2],
+    "Resize": _grows_otherwise,
+    "Upsample": _grows_otherwise,
     "Concat": lambda of: of.get("axis", 0) not in (1, -3),
     "Flatten": lambda of: of.get("axis", 1) != 1,
     "Reshape": _reshapes_otherwise,
@@ -413,6 +451,8 @@ def random_onnx(seed: int) -> onnx.ModelProto:
         builder.activation,
         builder.join,
         builder.spread,
+        builder.transposed,
+        builder.grow,
     )
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value

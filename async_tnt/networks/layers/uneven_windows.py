@@ -44,6 +44,27 @@ def inside_shares(n: int, n_inputs: int, kernel: int, stride: int, before: int) 
     return shares_of(spans, n_inputs, stride, before, kernel)
 
 
+def last_windows(side: int, kernel: int, stride: int, before: int) -> tuple[int, int]:
+    """The indices of two windows of a pooling with `ceil_mode`, along one axis.
+
+    The first is the last window if the number of windows is rounded up. The second is the last
+    window that begins inside the input or the padding at the front.
+    """
+    last_rounded_up = math.ceil((side + 2 * before - kernel) / stride)
+    last_inside = (side + before - 1) // stride
+    return last_rounded_up, last_inside
+
+
+def padding_of_ceil_mode(side: int, kernel: int, stride: int, before: int) -> int:
+    """The padding at the end that gives a pooling the windows of torch's `ceil_mode`.
+
+    With `ceil_mode` the last window may reach beyond the padded input, but it must begin inside the
+    input or the padding at the front.
+    """
+    last = min(last_windows(side, kernel, stride, before))
+    return last * stride + kernel - before - side
+
+
 def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
     """The inputs of an adaptive pooling to `n` places, along one axis.
 

@@ -18,6 +18,7 @@ from async_tnt.networks.layers.graph import CLASSIFIER, layer_shapes, tensors_of
 from async_tnt.networks.models.compiled import CompiledClassifier
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import logits_shape
+from async_tnt.networks.onnx.constant_folding import is_folded
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.networks.onnx.network import open_session
@@ -208,12 +209,16 @@ def layers_from_onnx(
     output = graph.output[0].name
     for node in map(Node, graph.node):
         rule = RULES.get(node.op)
-        if rule is None or (node.op == "Softmax" and node.outputs[0] != output):
-            raise NotImplementedError(f"{node.where} has no compiled form")
+        is_inner_softmax = node.op == "Softmax" and node.outputs[0] != output
         try:
-            rule(onnx_layers, node)
+            if is_folded(onnx_layers, node):
+                continue
+            if rule is not None and not is_inner_softmax:
+                rule(onnx_layers, node)
+                continue
         except (NotImplementedError, ValueError) as error:  # a ValueError if shapes do not fit
             raise NotImplementedError(f"{node.where}: {error}") from None
+        raise NotImplementedError(f"{node.where} has no compiled form")
     if not onnx_layers.layers or onnx_layers.names.get(output) != onnx_layers.layers[-1]["name"]:
         raise NotImplementedError("the network's last layer must compute its output")
     try:

@@ -19,6 +19,7 @@ class Node:
 
     Attributes
     ----------
+    proto : the node as the file has it.
     op : the node's ONNX operator.
     inputs : the names of the node's inputs; "" for an input that is left out.
     outputs : the names of the node's outputs, without outputs that are left out.
@@ -28,6 +29,7 @@ class Node:
     def __init__(self, node: onnx.NodeProto) -> None:
         from onnx import helper
 
+        self.proto = node
         self.op: str = node.op_type
         self.inputs = list(node.input)
         self.outputs = [name for name in node.output if name]
@@ -55,6 +57,7 @@ class OnnxLayers:
     ----------
     layers : the layers, in the order in which they are computed.
     tensors : name -> weights.
+    dtype : type of the network's input and weights.
     names : name of a value -> the layer that computes the value.
     """
 
@@ -72,7 +75,7 @@ class OnnxLayers:
         self.constants = dict(constants)
         self.opset = opset
         self._shape = shape
-        self._dtype = dtype
+        self.dtype = dtype
 
     def add(self, node: Node, op: str, sources: Sequence[str], **parameters: Any) -> None:
         """Add a layer that a node becomes, named after the node's output.
@@ -130,8 +133,8 @@ class OnnxLayers:
         The name is `name`, with `_` added if a different tensor already has it.
         """
         expect_form(
-            values.dtype == self._dtype,
-            f"{name!r} of type {values.dtype} beside an input of {self._dtype}",
+            values.dtype == self.dtype,
+            f"{name!r} of type {values.dtype} beside an input of {self.dtype}",
         )
         values = np.asarray(values, np.float32)
         while name in self.tensors and not np.array_equal(self.tensors[name], values):

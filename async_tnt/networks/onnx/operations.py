@@ -35,7 +35,7 @@ class OnnxForm:
 
 
 FORMS: dict[str, OnnxForm] = {
-    "conv": OnnxForm({"Conv": read.conv}, write.write_conv),
+    "conv": OnnxForm({"Conv": read.conv, "ConvTranspose": read.conv_transpose}, write.write_conv),
     "dense": OnnxForm({"Gemm": read.gemm, "MatMul": read.matmul}, write.write_dense),
     "batch_norm": OnnxForm(
         {
@@ -83,7 +83,10 @@ FORMS: dict[str, OnnxForm] = {
         },
         plain_node("GlobalAveragePool"),
     ),
-    "depth_to_space": OnnxForm({"DepthToSpace": read.depth_to_space}, write.write_depth_to_space),
+    "depth_to_space": OnnxForm(
+        {"DepthToSpace": read.depth_to_space, "Resize": read.resize, "Upsample": read.resize},
+        write.write_depth_to_space,
+    ),
     "add": OnnxForm({"Add": read.add, "Sum": read.add}, plain_node("Sum")),
     "concat": OnnxForm({"Concat": read.concat}, plain_node("Concat", axis=1)),
     "flatten": OnnxForm({"Flatten": read.flatten, "Reshape": read.reshape}, plain_node("Flatten")),

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from async_tnt.networks.layers.conversion_check import expect_form
+from async_tnt.networks.layers.enlarging import Enlarging, nearest, transposed_convolution
+from async_tnt.networks.layers.uneven_windows import last_windows, padding_of_ceil_mode
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
 
 ReadRule = Callable[[OnnxLayers, Node], None]
@@ -47,6 +49,69 @@ def conv(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(
         node, "conv", node.inputs[:1], weights=weights, **window, dilation=dilation, groups=groups
     )
+
+
+def conv_transpose(onnx_layers: OnnxLayers, node: Node) -> None:
+    weight = onnx_layers.constant(node, 1)
+    expect_form(weight is not None and weight.ndim == 4, "this ConvTranspose")
+    assert weight is not None
+    auto_pad = node.get("auto_pad", "NOTSET")
+    expect_form(auto_pad in ("NOTSET", "VALID"), f"auto_pad {auto_pad}")
+    expect_form(node.get("output_shape") is None, "output_shape")
+    bias = onnx_layers.constant(node, 2)
+    enlarging = transposed_convolution(
+        weight,
+        bias,
+        onnx_layers.shape(node.inputs[0])[1:],
+        stride=node.get("strides", [1, 1]),
+        padding=node.get("pads", [0] * 4),
+        output_padding=node.get("output_padding", [0, 0]),
+        dilation=node.get("dilations", [1, 1]),
+        groups=node.get("group", 1),
+    )
+    _enlarge(onnx_layers, node, enlarging, weight.dtype)
+
+
+def resize(onnx_layers: OnnxLayers, node: Node) -> None:
+    """Add an upsampling by the nearest place, by one whole number."""
+    mode = node.get("mode", "nearest")
+    expect_form(mode == "nearest", f"mode {mode}")
+    coordinates = node.get("coordinate_transformation_mode", "half_pixel")
+    rounding = node.get("nearest_mode", "round_prefer_floor")
+    # all of these repeat each place, if the factor is a whole number
+    repeats = coordinates == "asymmetric" and rounding == "floor"
+    repeats |= coordinates == "half_pixel" and rounding.startswith("round_")
+    expect_form(repeats, f"{coordinates} with {rounding}")
+    channels, *sides = onnx_layers.shape(node.inputs[0])
+    expect_form(len(sides) == 2, "a Resize of a vector")
+    is_old = node.op == "Upsample" or onnx_layers.opset < 11
+    scales = onnx_layers.constant(node, 1 if is_old else 2)
+    if node.get("scales") is not None:  # an attribute before opset 9
+        scales = np.array(node.get("scales"))
+    sizes = onnx_layers.constant(node, 3)
+    if sizes is not None and sizes.size:
+        factors = [float(size) / side for size, side in zip(sizes[2:], sides, strict=True)]
+    else:
+        expect_form(scales is not None and scales.size == 4, "a Resize without scales")
+        assert scales is not None
+        expect_form(scales[:2].tolist() == [1, 1], "a Resize of other than places")
+        factors = [float(scale) for scale in scales[2:]]
+    is_whole = factors[0] == factors[1] and factors[0].is_integer()
+    expect_form(is_whole, f"a Resize by {factors}, not by one whole number,")
+    enlarging = nearest(channels, int(factors[0]))
+    _enlarge(onnx_layers, node, enlarging, onnx_layers.dtype)
+
+
+def _enlarge(onnx_layers: OnnxLayers, node: Node, enlarging: Enlarging, dtype: np.dtype) -> None:
+    """Add the convolution and the blocks of a node by which a map grows."""
+    weights = {}
+    for role, values in (("weight", enlarging.weight), ("bias", enlarging.bias)):
+        if values is not None:
+            name = f"{node.outputs[0]}.{role}"
+            weights[role] = onnx_layers.tensor(name, values.astype(dtype))
+    onnx_layers.add(node, "conv", node.inputs[:1], weights=weights, **enlarging.conv)
+    if enlarging.block > 1:
+        onnx_layers.add(node, "depth_to_space", node.outputs, block=enlarging.block)
 
 
 def gemm(onnx_layers: OnnxLayers, node: Node) -> None:
@@ -158,6 +223,9 @@ def _silu(onnx_layers: OnnxLayers, node: Node) -> None:
 def concat(onnx_layers: OnnxLayers, node: Node) -> None:
     axis = node.get("axis")
     expect_form(axis in (1, -3), f"axis {axis}, not channels (1),")
+    if len(node.inputs) == 1:
+        onnx_layers.alias(node, node.inputs[0])
+        return
     onnx_layers.add(node, "concat", node.inputs)
 
 
@@ -270,11 +338,27 @@ def _window(node: Node, kernel: Sequence[int]) -> dict[str, list[int]]:
 
 
 def max_pool(onnx_layers: OnnxLayers, node: Node) -> None:
-    expect_form(len(node.outputs) == 1 and not node.get("ceil_mode", 0), "ceil_mode or indices")
+    expect_form(len(node.outputs) == 1, "indices")
     expect_form(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
-    onnx_layers.add(
-        node, "max_pool", node.inputs[:1], **_window(node, node.get("kernel_shape", []))
-    )
+    window = _window(node, node.get("kernel_shape", []))
+    if node.get("ceil_mode", 0):
+        _round_up(onnx_layers, node, window)
+    onnx_layers.add(node, "max_pool", node.inputs[:1], **window)
+
+
+def _round_up(onnx_layers: OnnxLayers, node: Node, window: dict[str, list[int]]) -> None:
+    """Add the padding that a window with `ceil_mode` reaches beyond the input.
+
+    Versions of ONNX differ in windows that begin behind the input, so these are refused.
+    """
+    for axis, side in enumerate(onnx_layers.shape(node.inputs[0])[1:]):
+        kernel, stride = window["kernel"][axis], window["stride"][axis]
+        before, after = window["padding"][axis], window["padding"][2 + axis]
+        last_rounded_up, last_inside = last_windows(side, kernel, stride, before)
+        is_clear = before == after and last_rounded_up <= last_inside
+        expect_form(is_clear, "ceil_mode with a window that begins behind the input")
+        needed = padding_of_ceil_mode(side, kernel, stride, before)
+        window["padding"][2 + axis] = max(after, needed)
 
 
 def average_pool(onnx_layers: OnnxLayers, node: Node) -> None:

@@ -63,10 +63,26 @@ GELU = TorchForm(
 )
 
 FORMS: dict[str, tuple[TorchForm, ...]] = {
-    "conv": (TorchForm(rules.conv, modules=(nn.Conv2d,)),),
+    "conv": (
+        TorchForm(rules.conv, modules=(nn.Conv2d,)),
+        TorchForm(rules.conv_transpose, modules=(nn.ConvTranspose2d,)),
+    ),
     "dense": (TorchForm(rules.linear, modules=(nn.Linear,)),),
     "batch_norm": (
-        TorchForm(rules.batch_norm, modules=(nn.BatchNorm1d, nn.BatchNorm2d)),
+        TorchForm(
+            rules.batch_norm,
+            modules=(nn.BatchNorm1d, nn.BatchNorm2d),
+            functions=(F.batch_norm,),
+            parameters={
+                "running_mean": None,
+                "running_var": None,
+                "weight": None,
+                "bias": None,
+                "training": False,
+                "momentum": 0.1,
+                "eps": 1e-5,
+            },
+        ),
         ADD,
         TorchForm(
             rules.subtract,
@@ -216,6 +232,19 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
             functions=(F.pixel_shuffle, torch.pixel_shuffle),
             parameters={"upscale_factor": None},
         ),
+        TorchForm(
+            rules.upsample,
+            modules=(nn.Upsample, nn.UpsamplingNearest2d),
+            functions=(F.interpolate,),
+            parameters={
+                "size": None,
+                "scale_factor": None,
+                "mode": "nearest",
+                "align_corners": None,
+                "recompute_scale_factor": None,
+                "antialias": False,
+            },
+        ),
     ),
     "add": (ADD,),
     "concat": (
@@ -260,6 +289,12 @@ PASSED_ON = (
     TorchForm(same_layer, modules=(nn.Identity,), may_share=True),
     TorchForm(
         same_layer, methods=("contiguous",), parameters={"memory_format": None}, may_share=True
+    ),
+    TorchForm(
+        same_layer,
+        functions=(torch.clone,),
+        methods=("clone",),
+        parameters={"memory_format": None},
     ),
 )
 """The forms of calls that pass their input on: such a call becomes no layer."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from typing import Any
 
@@ -10,6 +9,8 @@ import torch
 from torch import fx
 
 from async_tnt.networks.layers.conversion_check import expect_form
+from async_tnt.networks.layers.enlarging import Enlarging, nearest, transposed_convolution
+from async_tnt.networks.layers.uneven_windows import padding_of_ceil_mode
 from async_tnt.networks.torch.form import same_layer
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
 
@@ -51,6 +52,52 @@ def conv(layer_list: LayerList, call: Call) -> str:
     )
 
 
+def conv_transpose(layer_list: LayerList, call: Call) -> str:
+    module = call.module
+    expect_form(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
+    enlarging = transposed_convolution(
+        float_array(module.weight),
+        None if module.bias is None else float_array(module.bias),
+        layer_list.shape(call["input"])[1:],
+        stride=_pair(module.stride),
+        padding=2 * _pair(module.padding),
+        output_padding=_pair(module.output_padding),
+        dilation=_pair(module.dilation),
+        groups=module.groups,
+    )
+    return _enlarge(layer_list, call, enlarging)
+
+
+def upsample(layer_list: LayerList, call: Call) -> str:
+    expect_form(call["mode"] in ("nearest", "nearest-exact"), f"mode {call['mode']!r}")
+    channels, *sides = layer_list.shape(call["input"])
+    expect_form(len(sides) == 2, "an upsampling of a vector")
+    size = call["size"]
+    if size is not None:
+        factors = [wanted / side for wanted, side in zip(_pair(size), sides, strict=True)]
+    else:
+        scale = call["scale_factor"]
+        factors = [float(f) for f in (scale if isinstance(scale, (tuple, list)) else (scale,) * 2)]
+    is_whole = factors[0] == factors[1] and factors[0].is_integer()
+    expect_form(is_whole, f"an upsampling by {factors}, not by one whole number,")
+    return _enlarge(layer_list, call, nearest(channels, int(factors[0])))
+
+
+def _enlarge(layer_list: LayerList, call: Call, enlarging: Enlarging) -> str:
+    """Add the convolution and the blocks of a layer by which a map grows."""
+    # no module's tensor has () in its name
+    prefix = f"{layer_list.prefix}{call.node.name}()"
+    weights = {}
+    for role, values in (("weight", enlarging.weight), ("bias", enlarging.bias)):
+        if values is not None:
+            weights[role] = f"{prefix}.{role}"
+            layer_list.weights[weights[role]] = values
+    spread = layer_list.add("conv", call, weights=weights, **enlarging.conv)
+    if enlarging.block == 1:
+        return spread
+    return layer_list.add("depth_to_space", call, [spread], block=enlarging.block)
+
+
 def linear(layer_list: LayerList, call: Call) -> str:
     return layer_list.add(
         "dense", call, weights=layer_list.tensors(call, weight="weight", bias="bias")
@@ -59,12 +106,30 @@ def linear(layer_list: LayerList, call: Call) -> str:
 
 def batch_norm(layer_list: LayerList, call: Call) -> str:
     module = call.module
+    if module is None:
+        return _batch_norm_function(layer_list, call)
     uses_statistics = module.running_mean is not None and not module.training
     expect_form(uses_statistics, "a batch norm that does not use running statistics")
     weights = layer_list.tensors(
         call, mean="running_mean", variance="running_var", weight="weight", bias="bias"
     )
     return layer_list.add("batch_norm", call, weights=weights, epsilon=module.eps)
+
+
+def _batch_norm_function(layer_list: LayerList, call: Call) -> str:
+    """Add a batch norm for F.batch_norm, whose tensors are attributes of the module."""
+    uses_statistics = call["running_mean"] is not None and not call["training"]
+    expect_form(uses_statistics, "a batch norm that does not use running statistics")
+    roles = {"mean": "running_mean", "variance": "running_var", "weight": "weight", "bias": "bias"}
+    weights = {}
+    for role, argument in roles.items():
+        tensor = call[argument]
+        if tensor is None:
+            continue
+        expect_form(isinstance(tensor, torch.Tensor), f"a {argument} that is computed")
+        weights[role] = f"{layer_list.prefix}{call.node.name}().{role}"
+        layer_list.weights[weights[role]] = float_array(tensor)
+    return layer_list.add("batch_norm", call, weights=weights, epsilon=float(call["eps"]))
 
 
 # -- activations -----------------------------------------------------------------------------------
@@ -132,21 +197,9 @@ def _pool(layer_list: LayerList, call: Call, op: str) -> str:
         sides = layer_list.shape(call["input"])[1:]
         expect_form(len(sides) == 2, "a pooling of a vector")
         for axis, side in enumerate(sides):
-            needed = _padding_at_the_end(side, kernel[axis], stride[axis], padding[axis])
+            needed = padding_of_ceil_mode(side, kernel[axis], stride[axis], padding[axis])
             padding[2 + axis] = max(padding[2 + axis], needed)
     return layer_list.add(op, call, kernel=kernel, stride=stride, padding=padding)
-
-
-def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int:
-    """The padding at the end that gives a pooling the windows of torch's `ceil_mode`.
-
-    With `ceil_mode` the last window may reach beyond the padded input, but it must begin inside the
-    input or the padding at the front.
-    """
-    last_rounded_up = math.ceil((side + 2 * before - kernel) / stride)
-    last_inside = (side + before - 1) // stride
-    last = min(last_rounded_up, last_inside)
-    return last * stride + kernel - before - side
 
 
 def adaptive_pool(layer_list: LayerList, call: Call) -> str:
@@ -250,6 +303,8 @@ def concatenate(layer_list: LayerList, call: Call) -> str:
     axis = call["dim"]
     expect_form(axis in (1, -3), f"a concatenation along axis {axis}, not of channels (1),")
     expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
+    if len(call["tensors"]) == 1:
+        return layer_list.source(call["tensors"][0])
     return layer_list.add("concat", call, call["tensors"])
 
 

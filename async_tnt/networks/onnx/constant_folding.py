@@ -1,0 +1,83 @@
+"""Nodes of an ONNX graph that do not depend on the volume: they are computed while it is read.
+
+Exporters write the size of a resize or reshape as nodes that compute it from the shape of another
+value. A volume's shape is known, and its batch has one volume.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from async_tnt.networks.layers.conversion_check import expect_form
+
+if TYPE_CHECKING:
+    from async_tnt.networks.onnx.layers import Node, OnnxLayers
+
+FOLDED = {
+    "Add",
+    "Cast",
+    "Ceil",
+    "Concat",
+    "Div",
+    "Floor",
+    "Gather",
+    "Mul",
+    "Reshape",
+    "Slice",
+    "Squeeze",
+    "Sub",
+    "Unsqueeze",
+}
+"""Operators that are computed if all of their inputs are constants."""
+
+MOST_NUMBERS = 1 << 12
+"""Most numbers of an input: these nodes compute sizes, and a hostile file may ask for more."""
+
+
+def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
+    """Compute the outputs of a node that does not depend on the volume's numbers.
+
+    Returns False, and does nothing, for another node.
+
+    Raises
+    ------
+    NotImplementedError : the node cannot be computed.
+    """
+    if node.op == "Shape" and node.inputs[0] in onnx_layers.names:
+        shape = (1, *onnx_layers.shape(node.inputs[0]))
+        part = shape[node.get("start", 0) : node.get("end", len(shape))]
+        onnx_layers.constants[node.outputs[0]] = np.array(part, np.int64)
+        return True
+    inputs = [name for name in node.inputs if name]
+    if node.op not in FOLDED or not all(name in onnx_layers.constants for name in inputs):
+        return False
+    values = {name: onnx_layers.constants[name] for name in inputs}
+    fits = all(value.size <= MOST_NUMBERS for value in values.values())
+    expect_form(fits, f"a {node.op} of large constants")
+    try:
+        outputs = _computed(node, values, onnx_layers.opset)
+    except Exception as error:  # the evaluator raises whatever NumPy raises
+        raise NotImplementedError(f"it cannot be computed: {error}") from None
+    onnx_layers.constants.update(zip(node.outputs, outputs, strict=True))
+    return True
+
+
+def _computed(node: Node, values: dict[str, np.ndarray], opset: int) -> list[np.ndarray]:
+    """The outputs of a node, by ONNX's own reference of its operators."""
+    from onnx import TensorProto, helper
+    from onnx.reference import ReferenceEvaluator
+
+    inputs = [
+        helper.make_tensor_value_info(
+            name, helper.np_dtype_to_tensor_dtype(value.dtype), value.shape
+        )
+        for name, value in values.items()
+    ]
+    outputs = [
+        helper.make_tensor_value_info(name, TensorProto.UNDEFINED, None) for name in node.outputs
+    ]
+    graph = helper.make_graph([node.proto], "constants", inputs, outputs)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)])
+    return [np.asarray(value) for value in ReferenceEvaluator(model).run(None, values)]
