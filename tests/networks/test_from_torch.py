@@ -14,6 +14,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, load_model
+from async_tnt.networks.torch.from_torch import layers_from_torch
 from async_tnt.networks.torch.operations import HeatmapCentroid
 
 WAY_OUT = (
@@ -235,6 +236,34 @@ UNREAD = {  # named as they would be if their results were read
     "limits": lambda m, h: limits(h),
     "neg": lambda m, h: torch.neg(torch.neg(h), out=h),
 }
+
+
+class ManyUnknown(nn.Module):
+    """Two calls of each of twelve unknown functions, then a sum that does not fit the volume."""
+
+    FUNCTIONS = ("exp", "sin", "cos", "tan", "asin", "acos") + (
+        "atan",
+        "sinh",
+        "cosh",
+        "erf",
+        "ceil",
+        "neg",
+    )
+
+    def forward(self, x):
+        for name in self.FUNCTIONS:
+            x = getattr(torch, name)(getattr(torch, name)(x))
+        pooled = x.exp().mean((2, 3), keepdim=True)
+        return (pooled + pooled.floor()).flatten(1)
+
+
+def test_a_message_counts_the_calls_of_each_kind_and_names_ten_kinds():
+    with pytest.raises(NotImplementedError) as refused:
+        layers_from_torch(ManyUnknown(), (2, 8, 8))
+    parts = str(refused.value).split("; ")
+    assert parts[0] == "operation 'exp' (exp) has no compiled form (3 of these)"
+    assert parts[1] == "operation 'sin' (sin) has no compiled form (2 of these)"
+    assert len(parts) == 11 and parts[-1] == "and 3 more kinds"
 
 
 @pytest.mark.parametrize("name", UNREAD)

@@ -24,6 +24,9 @@ from async_tnt.networks.torch.operations import FUNCTIONS, METHODS, MODULES
 
 Layers = list[dict[str, Any]]
 
+MOST_KINDS = 10
+"""Most kinds of refused calls that a message names."""
+
 WAY_OUT = (
     "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
     "whole at every decision"
@@ -213,23 +216,25 @@ class _Conversion:
             raise NotImplementedError(f"the module's output: {error}") from None
 
     def _read_all(self, graph: fx.Graph) -> None:
-        """Read all calls; a NotImplementedError that names all calls without compiled form."""
-        refused: list[str] = []
+        """Read all calls; a NotImplementedError that names all kinds without compiled form."""
+        refused: dict[str, list[_RefusedError]] = {}
         for node in graph.nodes:
             if node.op in ("placeholder", "get_attr", "output") or _is_size(node):
                 continue
             try:
                 self._read(node)
-            except NotImplementedError as error:
-                refused.append(str(error))
-                # The message has to name all refused calls. So later calls are read, too, as if the
-                # volume were the value of this call.
-                self._layer_list.names[node] = VOLUME
+            except _RefusedError as error:
+                refused.setdefault(error.kind, []).append(error)
             except ValueError:
                 if not refused:  # after a refused call, shapes are wrong anyway
                     raise
+            else:
+                continue
+            # The message has to name all kinds of refused calls. So later calls are read, too, as
+            # if the volume were the value of this call.
+            self._layer_list.names[node] = VOLUME
         if refused:
-            raise NotImplementedError("; ".join(refused))
+            raise NotImplementedError(_named_kinds(list(refused.values())))
 
     def _read(self, node: fx.Node) -> None:
         """Add the layers of one call, and note which layer computes the node's value."""
@@ -244,7 +249,7 @@ class _Conversion:
             advice = ""
             if "softmax" in kind.lower():
                 advice = ": a decision has the softmax of its logits, leave it out"
-            raise NotImplementedError(f"{where} has no compiled form{advice}")
+            raise _RefusedError(kind, f"{where} has no compiled form{advice}")
         try:
             call = Call(node, self._with_tensors(form.arguments(node, module)), module)
             if node.users or call.written is not None:
@@ -255,7 +260,7 @@ class _Conversion:
                     self._memory[node] = self._memory.get(call["input"], call["input"])
                 self._layer_list.names[node] = name
         except NotImplementedError as error:
-            raise NotImplementedError(f"{where}: {error}") from None
+            raise _RefusedError(f"{kind}: {error}", f"{where}: {error}") from None
 
     def _write(self, node: fx.Node, written: fx.Node, name: str) -> None:
         """Record that a call changes a tensor in place.
@@ -323,6 +328,31 @@ class _Conversion:
             return str(target), None, METHODS.get(target)
         name = getattr(target, "__name__", str(target))
         return name, None, FUNCTIONS.get(target)
+
+
+class _RefusedError(NotImplementedError):
+    """A call that has no compiled form.
+
+    Parameters
+    ----------
+    kind : the same for all calls that are refused for one reason.
+    message : names the call, and says why it is refused.
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+def _named_kinds(kinds: Sequence[Sequence[_RefusedError]]) -> str:
+    """A message that names the first call of each kind, and counts the others."""
+    parts = []
+    for errors in kinds[:MOST_KINDS]:
+        count = f" ({len(errors)} of these)" if len(errors) > 1 else ""
+        parts.append(f"{errors[0]}{count}")
+    if len(kinds) > MOST_KINDS:
+        parts.append(f"and {len(kinds) - MOST_KINDS} more kinds")
+    return "; ".join(parts)
 
 
 def _is_size(node: fx.Node) -> bool:
