@@ -239,16 +239,9 @@ UNREAD = {  # named as they would be if their results were read
 
 
 class ManyUnknown(nn.Module):
-    """Two calls of each of twelve unknown functions, then a sum that does not fit the volume."""
+    """Two calls of each of eleven unknown functions, then a sum that does not fit the volume."""
 
-    FUNCTIONS = ("exp", "sin", "cos", "tan", "asin", "acos") + (
-        "atan",
-        "sinh",
-        "cosh",
-        "erf",
-        "ceil",
-        "neg",
-    )
+    FUNCTIONS = ("exp", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "erf", "ceil")
 
     def forward(self, x):
         for name in self.FUNCTIONS:
@@ -263,7 +256,7 @@ def test_a_message_counts_the_calls_of_each_kind_and_names_ten_kinds():
     parts = str(refused.value).split("; ")
     assert parts[0] == "operation 'exp' (exp) has no compiled form (3 of these)"
     assert parts[1] == "operation 'sin' (sin) has no compiled form (2 of these)"
-    assert len(parts) == 11 and parts[-1] == "and 3 more kinds"
+    assert len(parts) == 11 and parts[-1] == "and 2 more kinds"
 
 
 @pytest.mark.parametrize("name", UNREAD)
