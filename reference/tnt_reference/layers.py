@@ -169,6 +169,15 @@ def _global_average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> tor
 # -- joining, the order of numbers -----------------------------------------------------------------
 
 
+def _zero_pad(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return _padded(layer, x)
+
+
+def _edge_pad(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    top, left, bottom, right = layer["padding"]
+    return F.pad(x, (left, right, top, bottom), mode="replicate")
+
+
 def _depth_to_space(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     return F.pixel_shuffle(x, layer["block"])
 
@@ -231,6 +240,8 @@ OPERATIONS: dict[str, Operation] = {
     "inside_average_pool": _inside_average_pool,
     "adaptive_average_pool": _adaptive_average_pool,
     "global_average_pool": _global_average_pool,
+    "zero_pad": _zero_pad,
+    "edge_pad": _edge_pad,
     "depth_to_space": _depth_to_space,
     "add": _add,
     "concat": _concat,

@@ -236,7 +236,12 @@ class _Builder:
                     bias=self.pick(True, False),
                 )
             ),
-            lambda: self.part(nn.Upsample(scale_factor=self.pick(2, 3))),
+            lambda: self.part(
+                nn.Upsample(scale_factor=self.pick(2, 3), mode=self.pick("nearest", "bilinear"))
+            ),
+            lambda: self.part(
+                self.pick(nn.ZeroPad2d, nn.ReplicationPad2d)(self.pick(1, (0, 1, 2, 0)))
+            ),
             lambda: lambda m, x: F.interpolate(x, scale_factor=2),
             lambda: lambda m, x: torch.cat([x], 1).clone(),
             lambda: self.part(NormFunction(norm)),

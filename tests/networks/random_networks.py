@@ -164,6 +164,15 @@ def _depth_to_space(make, source, shape):
     return make.add("depth_to_space", [source], block=make.pick(blocks))
 
 
+def _padding(op):
+    def draw(make, source, shape):
+        largest_side = max(shape[1:])
+        most = 3 if largest_side + 6 < MOST_PLACES else 0
+        return make.add(op, [source], padding=[make.draw(st.integers(0, most)) for _ in range(4)])
+
+    return draw
+
+
 def _add(make, source, shape):
     same = [name for name, other in make.shapes.items() if other == shape]
     return make.add("add", [source, make.pick(same)])
@@ -192,6 +201,8 @@ ON_MAPS = {
     **ACTIVATIONS,
     **{op: _pool(op) for op in ("max_pool", "average_pool", "sum_pool", "inside_average_pool")},
     "adaptive_average_pool": _adaptive_average_pool,
+    "zero_pad": _padding("zero_pad"),
+    "edge_pad": _padding("edge_pad"),
     "depth_to_space": _depth_to_space,
     "add": _add,
     "concat": _concat,

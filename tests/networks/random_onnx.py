@@ -176,6 +176,26 @@ class _Builder:
             )
             self.node("Resize", roi, scales, mode=mode, **self.pick(*forms))
 
+    def frame(self) -> None:
+        """A padding of zeros, or of the edge."""
+        pads = [
+            0,
+            0,
+            *self.rng.integers(0, 3, 2).tolist(),
+            0,
+            0,
+            *self.rng.integers(0, 3, 2).tolist(),
+        ]
+        if self.chance(0.2):
+            pads[1] = 1
+        mode = (
+            self.pick("constant", "edge", "reflect") if self.odd else self.pick("constant", "edge")
+        )
+        if self.opset < 11:
+            self.node("Pad", mode=mode, pads=pads)
+        else:
+            self.node("Pad", self.constant(np.array(pads, np.int64)), mode=mode)
+
     def affine(self) -> None:
         n = self.shape[0]
         rest = [1] * (len(self.shape) - 1)
@@ -189,6 +209,8 @@ class _Builder:
         op = self.pick(
             "Sigmoid", "Tanh", "HardSigmoid", "HardSwish", "Gelu", "SiLU", "Log1p", "Shrink"
         )
+        if self.opset >= 20 and self.pick(True, False):  # no older one has it
+            op = "Gelu"
         if op == "SiLU":
             self.node("Sigmoid")
             factor = self.value
@@ -220,7 +242,7 @@ class _Builder:
             ),
             self.clip,
             self.dropout,
-            *2 * [self.function],
+            *3 * [self.function],
             lambda: self.node("Identity"),
         )()
 
@@ -368,7 +390,13 @@ def _trains(of: _Of) -> bool:
 
 def _grows_otherwise(of: _Of) -> bool:
     factors = of.constants[-1].tolist() if of.constants else []
-    return of.get("mode", "nearest") != "nearest" or 1.5 in factors
+    is_other = of.get("mode", "nearest") != "nearest"
+    return is_other or 1.5 in factors
+
+
+def _pads_as_no_layer(of: _Of) -> bool:
+    pads = of.get("pads", None) or of.constants[0].tolist()
+    return of.get("mode", "constant") == "reflect" or any(pads[:2])
 
 
 GAPS = {
@@ -377,6 +405,7 @@ GAPS = {
     "AveragePool": _pools_otherwise,
     "DepthToSpace": lambda of: of.get("mode", "DCR") == "DCR",
     "ConvTranspose": lambda of: of.get("strides", [1, 1]) == [1, 2],
+    "Pad": _pads_as_no_layer,
     "Resize": _grows_otherwise,
     "Upsample": _grows_otherwise,
     "Concat": lambda of: of.get("axis", 0) not in (1, -3),
@@ -453,6 +482,7 @@ def random_onnx(seed: int) -> onnx.ModelProto:
         builder.spread,
         builder.transposed,
         builder.grow,
+        builder.frame,
     )
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value

@@ -32,7 +32,8 @@ class Functional(nn.Module):
         x = F.batch_norm(x, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=0.1)
         x = torch.cat([x], 1).clone()
         x = F.interpolate(x, scale_factor=2, mode="nearest")
-        return F.interpolate(F.batch_norm(x, norm.running_mean, norm.running_var), size=(36, 30))
+        x = F.interpolate(F.batch_norm(x, norm.running_mean, norm.running_var), size=(36, 30))
+        return F.pad(F.pad(x, (1, 1, 0, 2)), (0, 2, 1, 0), "replicate")
 
 
 GROWING = {
@@ -46,6 +47,10 @@ GROWING = {
     "dilated": nn.ConvTranspose2d(4, 2, 3, 2, 2, 1, dilation=2),
     "less than its stride": nn.ConvTranspose2d(4, 3, 1, 2, output_padding=1),
     "not square": nn.ConvTranspose2d(4, 3, (2, 4), 2, (0, 1)),
+    "bilinear": nn.Upsample(scale_factor=2, mode="bilinear"),
+    "bilinear by 3 to a size": nn.Upsample(size=(18, 15), mode="bilinear"),
+    "zeros around": nn.ZeroPad2d((1, 0, 2, 3)),
+    "edges around": nn.ReplicationPad2d((1, 0, 2, 3)),
     "functions": Functional(),
 }
 """Modules by which a map of `SHAPE` grows."""
@@ -66,11 +71,12 @@ def test_from_torch_they_compute_the_same(name):
     torch.manual_seed(0)
     module, layers, weights = as_layers(GROWING[name])
     check_torch_layers(module, layers, weights, SHAPE)
-    assert {layer["op"] for layer in layers} <= {"conv", "depth_to_space", "batch_norm"}
+    known = {"conv", "depth_to_space", "batch_norm", "zero_pad", "edge_pad"}
+    assert {layer["op"] for layer in layers} <= known
 
 
 # of torch, whose exporter of this kind needs no other package
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore:Constant folding:UserWarning")
 @pytest.mark.parametrize("name", GROWING)
 def test_from_onnx_they_become_layers_of_the_same_numbers(name):
     module = GROWING[name].eval()
@@ -131,7 +137,10 @@ def test_transposed_convolutions_of_all_sizes_are_exact_or_refused(data):
 @pytest.mark.parametrize(
     "module, reason",
     [
-        (nn.Upsample(scale_factor=2, mode="bilinear"), "mode 'bilinear'"),
+        (nn.Upsample(scale_factor=2, mode="bicubic"), "mode 'bicubic'"),
+        (nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True), "align_corners"),
+        (nn.ZeroPad2d(-1), "a padding of"),
+        (nn.ConstantPad2d(1, 2.0), "with a value"),
         (nn.Upsample(scale_factor=1.5), "not by one whole number"),
         (nn.ConvTranspose2d(4, 2, 3, 2, 1), "to 11 places by strides of 2"),
         (nn.ConvTranspose2d(4, 2, 2, (2, 1)), "strides [2, 1]"),

@@ -37,6 +37,8 @@ PARAMETERS = {
     "sum_pool": WINDOW,
     "inside_average_pool": WINDOW,
     "adaptive_average_pool": {"size": [4, 3]},
+    "zero_pad": {"padding": [1, 0, 2, 1]},
+    "edge_pad": {"padding": [1, 0, 2, 1]},
     "depth_to_space": {"block": 2},
 }
 """Operation -> the parameters of its example."""

@@ -1,6 +1,6 @@
-"""Layers by which maps grow: transposed convolutions and upsampling by the nearest place.
+"""Layers by which maps grow: transposed convolutions and upsampling.
 
-Both are a convolution on the small map, whose channels then become blocks of places
+They are a convolution on the small map, whose channels then become blocks of places
 (depth_to_space). So they need no operation of their own, and compute the same sums.
 
 With stride s, kernel K, dilation d and padding p, a transposed convolution adds input i, times tap
@@ -55,6 +55,24 @@ def nearest(channels: int, factor: int) -> Enlarging:
     """Each place becomes factor x factor places with its number."""
     weight = np.ones((channels * factor**2, 1, 1, 1), np.float32)
     return Enlarging(weight, None, [0, 0, 0, 0], channels, factor)
+
+
+def bilinear(channels: int, factor: int) -> Enlarging:
+    """Bilinear upsampling to factor x factor places, of a map with an edge of one place.
+
+    Along each axis, phase r of place i lies at c = (r + 1/2) / factor - 1/2 beside it: it is
+    (1 - |c|) x_i + |c| times the neighbour on the side of c. At the borders the neighbour is the
+    place itself, so the map has to be padded by its edge first.
+    """
+    c = (np.arange(factor) + 0.5) / factor - 0.5
+    taps = np.stack([np.maximum(-c, 0), 1 - np.abs(c), np.maximum(c, 0)], 1)
+    phases = np.einsum("ay,bx->abyx", taps, taps).reshape(-1, 1, 3, 3)
+    weight = np.tile(phases, (channels, 1, 1, 1)).astype(np.float32)
+    return Enlarging(weight, None, [0, 0, 0, 0], channels, factor)
+
+
+EDGE = [1, 1, 1, 1]
+"""The padding of a map before `bilinear`."""
 
 
 def transposed_convolution(

@@ -14,10 +14,12 @@ from async_tnt.networks.layers.activations import ACTIVATIONS
 from async_tnt.networks.layers.joining import JOINING
 from async_tnt.networks.layers.linear import LINEAR
 from async_tnt.networks.layers.operation import Operation
+from async_tnt.networks.layers.padding import PADDINGS
 from async_tnt.networks.layers.pooling import POOLING
 
 OPERATIONS: dict[str, Operation] = {
-    operation.name: operation for operation in (*LINEAR, *ACTIVATIONS, *POOLING, *JOINING)
+    operation.name: operation
+    for operation in (*LINEAR, *ACTIVATIONS, *POOLING, *PADDINGS, *JOINING)
 }
 """Name -> operation, in the order in which messages and pages list them."""
 

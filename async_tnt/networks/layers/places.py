@@ -54,6 +54,13 @@ def divided_axis(layer: Layer, k: int, axis: Axis) -> Axis:
     return Axis(first, axis.distance * axis.n / n, n)
 
 
+def padded_axis(layer: Layer, k: int, axis: Axis) -> Axis:
+    """The axis of the output of a padding."""
+    before = layer["padding"][k]
+    after = layer["padding"][2 + k]
+    return Axis(axis.first - axis.distance * before, axis.distance, before + axis.n + after)
+
+
 def spread_axis(layer: Layer, k: int, axis: Axis) -> Axis:
     """The axis of the output of a layer that turns each place into a block of places."""
     block = layer["block"]

@@ -6,6 +6,7 @@ value. A volume's shape is known, and its batch has one volume.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ FOLDED = {
     "Cast",
     "Ceil",
     "Concat",
+    "ConstantOfShape",
     "Div",
     "Floor",
     "Gather",
@@ -28,6 +30,7 @@ FOLDED = {
     "Slice",
     "Squeeze",
     "Sub",
+    "Transpose",
     "Unsqueeze",
 }
 """Operators that are computed if all of their inputs are constants."""
@@ -55,6 +58,9 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
         return False
     values = {name: onnx_layers.constants[name] for name in inputs}
     fits = all(value.size <= MOST_NUMBERS for value in values.values())
+    if node.op == "ConstantOfShape":
+        (sides,) = values.values()
+        fits = math.prod(map(int, sides.reshape(-1))) <= MOST_NUMBERS
     expect_form(fits, f"a {node.op} of large constants")
     try:
         outputs = _computed(node, values, onnx_layers.opset)

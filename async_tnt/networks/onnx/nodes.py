@@ -93,14 +93,14 @@ class OnnxNodes:
         self.nodes.append(self._make(op, list(inputs), [output], **attributes))
         return output
 
-    def constant(self, name: str, value: Any) -> str:
-        """Add a float32 constant; returns its name.
+    def constant(self, name: str, value: Any, dtype: type = np.float32) -> str:
+        """Add a constant; returns its name.
 
         It is `name`, with `_` added if another of the `weights` has this name.
         """
         while name in self.weights:
             name += "_"
-        self.weights[name] = np.asarray(value, np.float32)
+        self.weights[name] = np.asarray(value, dtype)
         return name
 
     def scale(self, value: str, factor: float, name: str) -> str:

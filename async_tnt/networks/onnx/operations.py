@@ -87,6 +87,8 @@ FORMS: dict[str, OnnxForm] = {
         {"DepthToSpace": read.depth_to_space, "Resize": read.resize, "Upsample": read.resize},
         write.write_depth_to_space,
     ),
+    "zero_pad": OnnxForm({"Pad": read.pad}, write.write_pad("constant")),
+    "edge_pad": OnnxForm({"Pad": read.pad}, write.write_pad("edge")),
     "add": OnnxForm({"Add": read.add, "Sum": read.add}, plain_node("Sum")),
     "concat": OnnxForm({"Concat": read.concat}, plain_node("Concat", axis=1)),
     "flatten": OnnxForm({"Flatten": read.flatten, "Reshape": read.reshape}, plain_node("Flatten")),

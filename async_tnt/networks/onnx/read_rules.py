@@ -12,7 +12,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from async_tnt.networks.layers.conversion_check import expect_form
-from async_tnt.networks.layers.enlarging import Enlarging, nearest, transposed_convolution
+from async_tnt.networks.layers.enlarging import (
+    EDGE,
+    Enlarging,
+    bilinear,
+    nearest,
+    transposed_convolution,
+)
 from async_tnt.networks.layers.uneven_windows import last_windows, padding_of_ceil_mode
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
 
@@ -75,13 +81,19 @@ def conv_transpose(onnx_layers: OnnxLayers, node: Node) -> None:
 def resize(onnx_layers: OnnxLayers, node: Node) -> None:
     """Add an upsampling by the nearest place, by one whole number."""
     mode = node.get("mode", "nearest")
-    expect_form(mode == "nearest", f"mode {mode}")
+    expect_form(mode in ("nearest", "linear"), f"mode {mode}")
     coordinates = node.get("coordinate_transformation_mode", "half_pixel")
     rounding = node.get("nearest_mode", "round_prefer_floor")
-    # all of these repeat each place, if the factor is a whole number
-    repeats = coordinates == "asymmetric" and rounding == "floor"
-    repeats |= coordinates == "half_pixel" and rounding.startswith("round_")
-    expect_form(repeats, f"{coordinates} with {rounding}")
+    if onnx_layers.opset < 11:  # without these attributes
+        coordinates, rounding = "asymmetric", "floor"
+    if mode == "nearest":
+        # all of these repeat each place, if the factor is a whole number
+        repeats = coordinates == "asymmetric" and rounding == "floor"
+        repeats |= coordinates == "half_pixel" and rounding.startswith("round_")
+        expect_form(repeats, f"{coordinates} with {rounding}")
+    else:
+        half_pixel = coordinates in ("half_pixel", "pytorch_half_pixel")
+        expect_form(half_pixel and not node.get("antialias", 0), f"linear with {coordinates}")
     channels, *sides = onnx_layers.shape(node.inputs[0])
     expect_form(len(sides) == 2, "a Resize of a vector")
     is_old = node.op == "Upsample" or onnx_layers.opset < 11
@@ -98,18 +110,53 @@ def resize(onnx_layers: OnnxLayers, node: Node) -> None:
         factors = [float(scale) for scale in scales[2:]]
     is_whole = factors[0] == factors[1] and factors[0].is_integer()
     expect_form(is_whole, f"a Resize by {factors}, not by one whole number,")
-    enlarging = nearest(channels, int(factors[0]))
-    _enlarge(onnx_layers, node, enlarging, onnx_layers.dtype)
+    factor = int(factors[0])
+    if mode == "nearest":
+        _enlarge(onnx_layers, node, nearest(channels, factor), onnx_layers.dtype)
+        return
+    onnx_layers.add(node, "edge_pad", node.inputs[:1], padding=EDGE)
+    sources = node.outputs
+    _enlarge(onnx_layers, node, bilinear(channels, factor), onnx_layers.dtype, sources)
 
 
-def _enlarge(onnx_layers: OnnxLayers, node: Node, enlarging: Enlarging, dtype: np.dtype) -> None:
-    """Add the convolution and the blocks of a node by which a map grows."""
+def pad(onnx_layers: OnnxLayers, node: Node) -> None:
+    mode = node.get("mode", "constant")
+    expect_form(mode in ("constant", "edge"), f"mode {mode}")
+    pads = node.get("pads")
+    value = node.get("value", 0.0)
+    if onnx_layers.opset >= 11:
+        given = onnx_layers.constant(node, 1)
+        pads = None if given is None else given.tolist()
+        constant = onnx_layers.constant(node, 2)
+        value = 0.0 if constant is None else constant.reshape(-1)[0]
+        expect_form(onnx_layers.constant(node, 3) is None, "a padding of some axes")
+    n_axes = 1 + len(onnx_layers.shape(node.inputs[0]))
+    fits = pads is not None and n_axes == 4 and len(pads) == 8 and min(pads) >= 0
+    expect_form(fits and not any(pads[:2] + pads[4:6]), f"a padding of {pads}")
+    expect_form(mode == "edge" or value == 0, f"a padding of the value {value}")
+    padding = [int(n) for n in (*pads[2:4], *pads[6:])]
+    op = "edge_pad" if mode == "edge" else "zero_pad"
+    onnx_layers.add(node, op, node.inputs[:1], padding=padding)
+
+
+def _enlarge(
+    onnx_layers: OnnxLayers,
+    node: Node,
+    enlarging: Enlarging,
+    dtype: np.dtype,
+    sources: Sequence[str] = (),
+) -> None:
+    """Add the convolution and the blocks of a node by which a map grows.
+
+    sources : the value of the map; by default the node's first input.
+    """
     weights = {}
     for role, values in (("weight", enlarging.weight), ("bias", enlarging.bias)):
         if values is not None:
             name = f"{node.outputs[0]}.{role}"
             weights[role] = onnx_layers.tensor(name, values.astype(dtype))
-    onnx_layers.add(node, "conv", node.inputs[:1], weights=weights, **enlarging.conv)
+    inputs = sources or node.inputs[:1]
+    onnx_layers.add(node, "conv", inputs, weights=weights, **enlarging.conv)
     if enlarging.block > 1:
         onnx_layers.add(node, "depth_to_space", node.outputs, block=enlarging.block)
 

@@ -162,5 +162,17 @@ def write_adaptive_average_pool(
     nodes.add("MatMul", [pooled_rows, column_shares], name)
 
 
+def write_pad(mode: str) -> WriteRule:
+    """The rule of a padding: `mode` is "constant", for zeros, or "edge"."""
+
+    def write(nodes: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
+        top, left, bottom, right = layer["padding"]
+        pads = [0, 0, top, left, 0, 0, bottom, right]
+        constant = nodes.constant(f"{name}.pads", pads, np.int64)
+        nodes.add("Pad", [*inputs, constant], name, mode=mode)
+
+    return write
+
+
 def write_depth_to_space(nodes: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
     nodes.add("DepthToSpace", inputs, name, blocksize=layer["block"], mode="CRD")

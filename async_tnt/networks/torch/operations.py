@@ -62,6 +62,12 @@ GELU = TorchForm(
     rules.gelu, modules=(nn.GELU,), functions=(F.gelu,), parameters={"approximate": "none"}
 )
 
+PAD = TorchForm(
+    rules.pad,
+    functions=(F.pad,),
+    parameters={"pad": None, "mode": "constant", "value": None},
+)
+
 FORMS: dict[str, tuple[TorchForm, ...]] = {
     "conv": (
         TorchForm(rules.conv, modules=(nn.Conv2d,)),
@@ -234,7 +240,7 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
         ),
         TorchForm(
             rules.upsample,
-            modules=(nn.Upsample, nn.UpsamplingNearest2d),
+            modules=(nn.Upsample, nn.UpsamplingNearest2d, nn.UpsamplingBilinear2d),
             functions=(F.interpolate,),
             parameters={
                 "size": None,
@@ -245,6 +251,22 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
                 "antialias": False,
             },
         ),
+    ),
+    "zero_pad": (
+        TorchForm(
+            rules.pad_module("zero_pad"),
+            modules=(nn.ZeroPad2d, nn.ConstantPad2d),
+            parameters={"padding": None, "value": 0},
+        ),
+        PAD,
+    ),
+    "edge_pad": (
+        TorchForm(
+            rules.pad_module("edge_pad"),
+            modules=(nn.ReplicationPad2d,),
+            parameters={"padding": None},
+        ),
+        PAD,
     ),
     "add": (ADD,),
     "concat": (

@@ -9,9 +9,15 @@ import torch
 from torch import fx
 
 from async_tnt.networks.layers.conversion_check import expect_form
-from async_tnt.networks.layers.enlarging import Enlarging, nearest, transposed_convolution
+from async_tnt.networks.layers.enlarging import (
+    EDGE,
+    Enlarging,
+    bilinear,
+    nearest,
+    transposed_convolution,
+)
 from async_tnt.networks.layers.uneven_windows import padding_of_ceil_mode
-from async_tnt.networks.torch.form import same_layer
+from async_tnt.networks.torch.form import Rule, same_layer
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
 
 
@@ -69,7 +75,10 @@ def conv_transpose(layer_list: LayerList, call: Call) -> str:
 
 
 def upsample(layer_list: LayerList, call: Call) -> str:
-    expect_form(call["mode"] in ("nearest", "nearest-exact"), f"mode {call['mode']!r}")
+    mode = call["mode"]
+    expect_form(mode in ("nearest", "nearest-exact", "bilinear"), f"mode {mode!r}")
+    expect_form(not call["align_corners"], "align_corners")
+    expect_form(not call["antialias"], "antialias")
     channels, *sides = layer_list.shape(call["input"])
     expect_form(len(sides) == 2, "an upsampling of a vector")
     size = call["size"]
@@ -80,11 +89,46 @@ def upsample(layer_list: LayerList, call: Call) -> str:
         factors = [float(f) for f in (scale if isinstance(scale, (tuple, list)) else (scale,) * 2)]
     is_whole = factors[0] == factors[1] and factors[0].is_integer()
     expect_form(is_whole, f"an upsampling by {factors}, not by one whole number,")
-    return _enlarge(layer_list, call, nearest(channels, int(factors[0])))
+    factor = int(factors[0])
+    if mode != "bilinear":
+        return _enlarge(layer_list, call, nearest(channels, factor))
+    padded = layer_list.add("edge_pad", call, padding=EDGE)
+    return _enlarge(layer_list, call, bilinear(channels, factor), padded)
 
 
-def _enlarge(layer_list: LayerList, call: Call, enlarging: Enlarging) -> str:
-    """Add the convolution and the blocks of a layer by which a map grows."""
+def pad(layer_list: LayerList, call: Call) -> str:
+    """Add a padding for F.pad, which has left, right, top and bottom in this order."""
+    pads = list(call["pad"])
+    fits = len(pads) == 4 and all(isinstance(n, int) and n >= 0 for n in pads)
+    expect_form(fits, f"a padding of {pads}")
+    left, right, top, bottom = pads
+    padding = [top, left, bottom, right]
+    if call["mode"] == "replicate":
+        return layer_list.add("edge_pad", call, padding=padding)
+    is_zero = call["mode"] == "constant" and not call["value"]
+    expect_form(is_zero, f"mode {call['mode']!r} with the value {call['value']}")
+    return layer_list.add("zero_pad", call, padding=padding)
+
+
+def pad_module(op: str) -> Rule:
+    """The rule of a module that pads, whose `padding` is left, right, top and bottom."""
+
+    def rule(layer_list: LayerList, call: Call) -> str:
+        left, right, top, bottom = call["padding"]
+        fits = min(call["padding"]) >= 0 and not call.arguments.get("value")
+        expect_form(fits, f"a padding of {call['padding']} with a value")
+        return layer_list.add(op, call, padding=[top, left, bottom, right])
+
+    return rule
+
+
+def _enlarge(
+    layer_list: LayerList, call: Call, enlarging: Enlarging, source: str | None = None
+) -> str:
+    """Add the convolution and the blocks of a layer by which a map grows.
+
+    source : the layer of the map; by default the call's input.
+    """
     # no module's tensor has () in its name
     prefix = f"{layer_list.prefix}{call.node.name}()"
     weights = {}
@@ -92,7 +136,8 @@ def _enlarge(layer_list: LayerList, call: Call, enlarging: Enlarging) -> str:
         if values is not None:
             weights[role] = f"{prefix}.{role}"
             layer_list.weights[weights[role]] = values
-    spread = layer_list.add("conv", call, weights=weights, **enlarging.conv)
+    sources = [call["input"] if source is None else source]
+    spread = layer_list.add("conv", call, sources, weights=weights, **enlarging.conv)
     if enlarging.block == 1:
         return spread
     return layer_list.add("depth_to_space", call, [spread], block=enlarging.block)
