@@ -59,6 +59,14 @@ WEIGHTS = {
     "prelu": {"slope": (4,)},
 }
 """Operation -> the shapes of its example's weights."""
+ONE_PLACE = {
+    "kernel": [1, 1],
+    "stride": [1, 1],
+    "padding": [0] * 4,
+    "dilation": [1, 1],
+    "groups": 1,
+}
+"""Parameters of a convolution of one place."""
 LANDMARK_ONLY = "heatmap_centroid"
 """The operation that no classifier has."""
 
@@ -192,3 +200,20 @@ def test_the_landmark_operation_is_read_from_torch():
         torch.nn.Sequential(torch.nn.Tanh(), torch_operations.HeatmapCentroid()), (1, 6, 5)
     )
     assert [one["op"] for one in layers] == ["tanh", LANDMARK_ONLY]
+
+
+def test_functions_at_their_borders():
+    """log(0) is -inf, and the logarithm of less is no number, as in torch."""
+    layers = [
+        layer("conv", "number", "volume", weights={"weight": "zeros", "bias": "bias"}, **ONE_PLACE),
+        layer("log1p", "log", "number"),
+        layer("global_average_pool", "mean", "log"),
+        layer("flatten", "logits", "mean"),
+    ]
+    weights = {
+        "zeros": np.zeros((3, 4, 1, 1), np.float32),
+        "bias": np.array([-1.0, -2.0, 0.0], np.float32),
+    }
+    model = Model(CONFIG, weights, ["a", "b", "c"], network={"classifier": layers})
+    found = CompiledClassifier(model)(np.zeros(SHAPE, np.float32))
+    assert found[0] == -np.inf and np.isnan(found[1]) and found[2] == 0

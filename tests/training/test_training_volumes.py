@@ -231,6 +231,21 @@ def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds
     np.testing.assert_array_equal(BatchVolumes(config)(behind, draws), expected)
 
 
+@pytest.mark.parametrize("offset, pixels", [((0.4, -0.4), (0, 0)), ((-0.6, 0.6), (-1, 1))])
+def test_a_moved_event_is_on_the_nearest_pixel(offset, pixels):
+    config = TNTConfig(transform="none", representation="count", sensor=(20, 16), grid=(20, 16))
+    windows = random_windows(config, 1)
+    windows.recordings.x[:] = 5 + windows.recordings.x % 10
+    windows.recordings.y[:] = 3 + windows.recordings.y % 10
+    draws = unchanged(len(windows), config)
+    draws.matrix[:, :, 2] = offset
+    moved = BatchVolumes(config)(windows, draws).copy()
+    unmoved = BatchVolumes(config)(windows)
+    expected = np.roll(unmoved, pixels[::-1], (2, 3))
+    assert unmoved.any()
+    np.testing.assert_array_equal(moved, expected)
+
+
 @pytest.mark.parametrize("kind", [ONE_POLARITY, HOT_PIXELS, PATCH, EDGE])
 def test_what_stands_in_the_place_of_a_recording(kind):
     """It has as many events as before, or fewer where an edge leaves the sensor."""
