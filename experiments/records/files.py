@@ -81,11 +81,11 @@ def problems(folder: Path = RESULTS) -> list[str]:
     """Why results of a folder are not to be trusted, a line each: nothing, if all are.
 
     A result must say which run made it, must be as this run wrote it, and its commit must be in the
-    history of this checkout. Without a history, commits are not looked up.
+    history of this checkout. Without its whole history, commits are not looked up.
     """
     found = []
     is_known: dict[str, bool] = {}
-    has_history = git("rev-parse", "HEAD") is not None
+    has_history = git("rev-parse", "--is-shallow-repository") == "false"
     for path in sorted(folder.rglob("*.json")):
         for name, result in _named_results(path):
             problem = problem_of(result)
