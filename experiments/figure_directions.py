@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LOOKS: dict[str, dict[str, Any]] = {
-    "raw-translated": {"color": "#000000"},
-    "raw-all-ways": {"color": "#8a8a8a", "ls": (0, (4, 1.5))},
-    "running-translated": {"color": ON},
-    "line-translated": {"color": OFF},
+    "thesis-baseline": {"color": "#000000"},
+    "thesis-tnt": {"color": ON},
+    "thesis-regress": {"color": OFF},
+    "raw-reversed": {"color": "#8a8a8a", "ls": (0, (4, 1.5))},
     "raw-motions": {"color": "#009E73"},
 }
 """Row of the table -> how its line is drawn."""

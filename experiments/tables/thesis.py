@@ -26,13 +26,14 @@ MOTIONS_COLUMNS = (
     "1/others",
     "all/sim",
     "1/sim",
+    f"1/{FOREIGN}",
     "1/bell",
     "1/beyond",
     f"1/{THESIS_SET}",
 )
 """Columns of `resynthesis`."""
 
-UNSEEN_COLUMNS = ("1/all", "1/sim")
+UNSEEN_COLUMNS = ("1/all", "1/sim", f"1/{FOREIGN}")
 """Columns of `unseen_motion`."""
 
 UNSEEN_ROWS = {
@@ -42,7 +43,8 @@ UNSEEN_ROWS = {
     "raw-translated": "untransformed, 3,000 steps",
     "running-translated": "TNT, `running`, 3,000 steps",
     "line-translated": "TNT, `line` with its flow removed, 3,000 steps",
-    "raw-8000": "untransformed, 8,000 steps",
+    "raw-8000": "untransformed, thinned, 8,000 steps",
+    "raw-reversed": "the same, recordings also reversed in time",
     "raw-all-ways": "the same without polarity, turned, reversed and flipped",
     "raw-motions": "untransformed, re-synthesized motions, 8,000 steps",
 }
@@ -134,8 +136,14 @@ def unseen_motion() -> str:
         return [cell(accuracies[row].get(column)) for column in UNSEEN_COLUMNS]
 
     body = [[title, *cells(row)] for row, title in measured.items()]
-    body.append(["*a guess in motions that were not seen*", short(_guessed("1/all")), short(GUESS)])
-    head = ["volume", "right in all three saccades", "right in 30 simulated motions"]
+    guesses = [short(_guessed("1/all")), short(GUESS), short(GUESS)]
+    body.append(["*a guess in motions that were not seen*", *guesses])
+    head = [
+        "volume",
+        "right in all three saccades",
+        "right in 30 simulated motions",
+        "the same by v2e's pixels",
+    ]
     sentence = (
         f"Trained on the first saccade of N-MNIST alone ({' or '.join(map(str, seeds))} seeds, "
         "mean and standard deviation):"
