@@ -244,6 +244,8 @@ class _Builder:
             ),
             lambda: lambda m, x: F.interpolate(x, scale_factor=2),
             lambda: lambda m, x: torch.cat([x], 1).clone(),
+            lambda: lambda m, x: x[..., ::2, :].contiguous(),
+            lambda: lambda m, x: x[:, :, 1:, ::2].contiguous(),
             lambda: self.part(NormFunction(norm)),
             lambda: lambda m, x: F.max_pool2d(x, **pool),
             lambda: lambda m, x: F.avg_pool2d(x, pool["kernel_size"], pool["stride"]),

@@ -196,6 +196,19 @@ class _Builder:
         else:
             self.node("Pad", self.constant(np.array(pads, np.int64)), mode=mode)
 
+    def every(self) -> None:
+        """Some rows or columns, to the last."""
+        axis = self.pick(2, 3, -1)
+        first = self.pick(0, 1, -1) if self.chance(0.3) else self.pick(0, 1)
+        end = 3 if self.chance(0.2) else 1 << 31
+        if self.opset < 10:
+            self.node("Slice", starts=[first], ends=[end], axes=[axis])
+            return
+        inputs = [self.constant(np.array([n], np.int64)) for n in (first, end, axis)]
+        if self.pick(True, False):
+            inputs.append(self.constant(np.array([2], np.int64)))
+        self.node("Slice", *inputs)
+
     def affine(self) -> None:
         n = self.shape[0]
         rest = [1] * (len(self.shape) - 1)
@@ -399,6 +412,12 @@ def _pads_as_no_layer(of: _Of) -> bool:
     return of.get("mode", "constant") == "reflect" or any(pads[:2])
 
 
+def _slices_otherwise(of: _Of) -> bool:
+    numbers = [*of.get("starts", []), *of.get("ends", [])]
+    numbers += [int(constant[0]) for constant in of.constants[:2]]
+    return -1 in numbers or 3 in numbers
+
+
 GAPS = {
     "Conv": lambda of: _pads_otherwise(of) or of.get("kernel_shape", []) == [3, 2],
     "MaxPool": _pools_otherwise,
@@ -406,6 +425,7 @@ GAPS = {
     "DepthToSpace": lambda of: of.get("mode", "DCR") == "DCR",
     "ConvTranspose": lambda of: of.get("strides", [1, 1]) == [1, 2],
     "Pad": _pads_as_no_layer,
+    "Slice": _slices_otherwise,
     "Resize": _grows_otherwise,
     "Upsample": _grows_otherwise,
     "Concat": lambda of: of.get("axis", 0) not in (1, -3),
@@ -483,6 +503,7 @@ def random_onnx(seed: int) -> onnx.ModelProto:
         builder.transposed,
         builder.grow,
         builder.frame,
+        builder.every,
     )
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value

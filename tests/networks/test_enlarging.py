@@ -36,6 +36,20 @@ class Functional(nn.Module):
         return F.pad(F.pad(x, (1, 1, 0, 2)), (0, 2, 1, 0), "replicate")
 
 
+class Focus(nn.Module):
+    """Every second row and column, as YOLO networks begin."""
+
+    def forward(self, x):
+        return torch.cat([x[..., j::2, i::2] for i in (0, 1) for j in (0, 1)], 1)[:, :, :]
+
+
+class Picked(nn.Module):
+    """Rows and columns by other indices."""
+
+    def forward(self, x):
+        return x[:, :, 2:][:, :, ::3, 1:]
+
+
 GROWING = {
     "nearest": nn.Upsample(scale_factor=2),
     "nearest by 3 to a size": nn.Upsample(size=(18, 15)),
@@ -49,6 +63,7 @@ GROWING = {
     "not square": nn.ConvTranspose2d(4, 3, (2, 4), 2, (0, 1)),
     "bilinear": nn.Upsample(scale_factor=2, mode="bilinear"),
     "bilinear by 3 to a size": nn.Upsample(size=(18, 15), mode="bilinear"),
+    "every third row": Picked(),
     "zeros around": nn.ZeroPad2d((1, 0, 2, 3)),
     "edges around": nn.ReplicationPad2d((1, 0, 2, 3)),
     "functions": Functional(),
@@ -134,9 +149,27 @@ def test_transposed_convolutions_of_all_sizes_are_exact_or_refused(data):
     torch.testing.assert_close(F.pixel_shuffle(small, found.block), wanted, rtol=0, atol=0)
 
 
+def test_focus_takes_every_second_row_and_column():
+    module = nn.Sequential(Focus(), nn.Conv2d(16, 2, 1)).eval()
+    layers, weights = layers_from_torch(module, (4, 6, 8))
+    check_torch_layers(module, layers, weights, (4, 6, 8))
+
+
+class Indexed(nn.Module):
+    def __init__(self, index):
+        super().__init__()
+        self.index = index
+
+    def forward(self, x):
+        return x[self.index]
+
+
 @pytest.mark.parametrize(
     "module, reason",
     [
+        (Indexed((slice(None), slice(0, 2))), "the index"),
+        (Indexed((slice(None), slice(None, None, 2))), "the index"),
+        (Indexed((..., slice(-2, None))), "the index"),
         (nn.Upsample(scale_factor=2, mode="bicubic"), "mode 'bicubic'"),
         (nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True), "align_corners"),
         (nn.ZeroPad2d(-1), "a padding of"),

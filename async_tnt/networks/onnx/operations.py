@@ -35,7 +35,10 @@ class OnnxForm:
 
 
 FORMS: dict[str, OnnxForm] = {
-    "conv": OnnxForm({"Conv": read.conv, "ConvTranspose": read.conv_transpose}, write.write_conv),
+    "conv": OnnxForm(
+        {"Conv": read.conv, "ConvTranspose": read.conv_transpose, "Slice": read.pick},
+        write.write_conv,
+    ),
     "dense": OnnxForm({"Gemm": read.gemm, "MatMul": read.matmul}, write.write_dense),
     "batch_norm": OnnxForm(
         {

@@ -19,6 +19,7 @@ from async_tnt.networks.layers.enlarging import (
     nearest,
     transposed_convolution,
 )
+from async_tnt.networks.layers.picking import picked
 from async_tnt.networks.layers.uneven_windows import last_windows, padding_of_ceil_mode
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
 
@@ -435,6 +436,34 @@ def reduce_mean(onnx_layers: OnnxLayers, node: Node) -> None:
 def depth_to_space(onnx_layers: OnnxLayers, node: Node) -> None:
     expect_form(node.get("mode", "DCR") == "CRD", "mode DCR")
     onnx_layers.add(node, "depth_to_space", node.inputs[:1], block=node.get("blocksize"))
+
+
+def pick(onnx_layers: OnnxLayers, node: Node) -> None:
+    """Add a convolution for a Slice that takes some rows and columns, to the last."""
+    names = ("starts", "ends", "axes", "steps")
+    if onnx_layers.opset < 10:
+        parts = [node.get(name) for name in names]
+    else:
+        constants = [onnx_layers.constant(node, 1 + k) for k in range(4)]
+        parts = [None if values is None else values.tolist() for values in constants]
+    starts, ends, axes, steps = parts
+    expect_form(starts is not None and ends is not None, "a Slice without starts or ends")
+    shape = (1, *onnx_layers.shape(node.inputs[0]))
+    axes = list(range(len(starts))) if axes is None else axes
+    steps = [1] * len(starts) if steps is None else steps
+    start, step = [0, 0], [1, 1]
+    for axis, first, end, every in zip(axes, starts, ends, steps, strict=True):
+        axis %= len(shape)
+        is_whole = end >= shape[axis] and every >= 1 and 0 <= first < shape[axis]
+        is_nothing = (first, every) == (0, 1)
+        expect_form(is_whole and (is_nothing or axis >= 2), f"a Slice of axis {axis}")
+        if axis >= 2:
+            start[axis - 2] = first
+            step[axis - 2] = every
+    expect_form(len(shape) == 4, "a Slice of a vector")
+    weight, parameters = picked(shape[1], start, step)
+    name = onnx_layers.tensor(f"{node.outputs[0]}.weight", weight.astype(onnx_layers.dtype))
+    onnx_layers.add(node, "conv", node.inputs[:1], weights={"weight": name}, **parameters)
 
 
 def flatten(onnx_layers: OnnxLayers, node: Node) -> None:

@@ -72,6 +72,9 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     "conv": (
         TorchForm(rules.conv, modules=(nn.Conv2d,)),
         TorchForm(rules.conv_transpose, modules=(nn.ConvTranspose2d,)),
+        TorchForm(
+            rules.index, functions=(operator.getitem,), parameters={"index": None}, may_share=True
+        ),
     ),
     "dense": (TorchForm(rules.linear, modules=(nn.Linear,)),),
     "batch_norm": (

@@ -16,6 +16,7 @@ from async_tnt.networks.layers.enlarging import (
     nearest,
     transposed_convolution,
 )
+from async_tnt.networks.layers.picking import picked
 from async_tnt.networks.layers.uneven_windows import padding_of_ceil_mode
 from async_tnt.networks.torch.form import Rule, same_layer
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
@@ -358,6 +359,38 @@ def concatenate(layer_list: LayerList, call: Call) -> str:
 
 def pixel_shuffle(layer_list: LayerList, call: Call) -> str:
     return layer_list.add("depth_to_space", call, block=call["upscale_factor"])
+
+
+def index(layer_list: LayerList, call: Call) -> str:
+    """Add a convolution for x[..., a::m, b::n]."""
+    channels, *sides = layer_list.shape(call["input"])
+    given = call["index"] if isinstance(call["index"], tuple) else (call["index"],)
+    n_axes = 2 + len(sides)
+    if Ellipsis in given:
+        place = given.index(Ellipsis)
+        left_out = [slice(None)] * (n_axes - len(given) + 1)
+        given = (*given[:place], *left_out, *given[place + 1 :])
+    slices = [*given, *[slice(None)] * (n_axes - len(given))]
+    is_known = len(slices) == 4 and all(_is_slice_to_the_end(part) for part in slices)
+    expect_form(is_known, f"the index {given}")
+    start = [part.start or 0 for part in slices]
+    step = [part.step or 1 for part in slices]
+    is_inside = all(first < side for first, side in zip(start[2:], sides, strict=True))
+    is_of_places = start[:2] == [0, 0] and step[:2] == [1, 1]
+    expect_form(is_of_places and is_inside, f"the index {given}")
+    weight, parameters = picked(channels, start[2:], step[2:])
+    # no module's tensor has () in its name
+    name = f"{layer_list.prefix}{call.node.name}().weight"
+    layer_list.weights[name] = weight
+    return layer_list.add("conv", call, weights={"weight": name}, **parameters)
+
+
+def _is_slice_to_the_end(part: Any) -> bool:
+    """Whether an index is a slice like 1::2, without an end and of whole numbers."""
+    if not isinstance(part, slice) or part.stop is not None:
+        return False
+    start_fits = part.start is None or (isinstance(part.start, int) and part.start >= 0)
+    return start_fits and (part.step is None or (isinstance(part.step, int) and part.step >= 1))
 
 
 def flatten(layer_list: LayerList, call: Call) -> str:

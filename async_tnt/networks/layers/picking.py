@@ -1,0 +1,36 @@
+"""Every second, third ... row and column of a map, as x[..., ::2, 1::2] takes them.
+
+It is a depthwise convolution with one weight of 1, so it needs no operation of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+
+def picked(
+    channels: int, start: Sequence[int], step: Sequence[int]
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The weight and the parameters of the convolution that takes some rows and columns.
+
+    Row i of the result is row start + i step of the map. The kernel reaches from the rows before it
+    to this row, so that as many rows are taken as there are.
+
+    Parameters
+    ----------
+    start, step : y and x; `start` is from 0 on, `step` from 1 on.
+    """
+    kernel = [start[0] + 1, start[1] + 1]
+    weight = np.zeros((channels, 1, *kernel), np.float32)
+    weight[:, :, -1, -1] = 1.0
+    parameters = {
+        "kernel": kernel,
+        "stride": list(step),
+        "padding": [0, 0, 0, 0],
+        "dilation": [1, 1],
+        "groups": channels,
+    }
+    return weight, parameters
