@@ -14,8 +14,8 @@ alternate at every decision. Ratios are taken pair by pair. Latency is wall-cloc
 processor time. OpenVINO uses float32 and the hint LATENCY."""
 
 STARTS = """\
-A fresh process, to its first decision. A `Processor` compiles in its own process, commands
-compile in two."""
+A fresh process, to its first decision. The kernels are those that the install has compiled, so
+that nothing is compiled at the first start, with an empty cache."""
 
 NETWORKS = """\
 Random weights, on the bundled recordings, whose pixels are mapped onto each grid: that of the
