@@ -165,7 +165,7 @@ def build_foreign(
     with _v2e(v2e) as emulator_class, progress(len(motions), "simulating with v2e") as bar:
         for motion, path in zip(motions, shards, strict=True):
             if not path.exists():
-                # v2e draws its thresholds anew for every seed that is not 0
+                # v2e seeds its random generators only if the seed is not 0
                 emulator = emulator_class(**SETTINGS, seed=1 + seed + motion.index, device="cpu")
                 recordings, flow = _simulated(emulator, motion, images, scene)
                 write_shard(

@@ -151,7 +151,7 @@ def thesis_answers() -> str:
     seeds = sorted({difference["seeds"] for difference in to_baseline})
     sentence = (
         f"Of {len(to_baseline)} differences to the Baseline, {n_gains + n_losses} hold: "
-        f"{n_gains} gains and {n_losses} losses ({' or '.join(map(str, seeds))} seeds). All of "
+        f"gains {n_gains}, losses {n_losses} ({' or '.join(map(str, seeds))} seeds). All of "
         "them, with 95 % intervals, those that hold in bold:"
     )
     by_cell = {(difference["row"], difference["column"]): difference for difference in to_baseline}

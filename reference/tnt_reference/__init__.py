@@ -2,11 +2,10 @@
 
 This package does not import `async_tnt`, and shares no code with it: tests compare the results of
 the two. Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the
-Temporal Normalization Transform), then `networks.py`. Independent of these: `images.py`, `hats.py`,
+Temporal Normalization Transform), then `networks.py`. Independent of these: `images.py`,
 `motion.py`, `moving_image.py`, `objects.py`.
 """
 
-from .hats import hats
 from .images import count_image, count_timestamp_image, time_image
 from .landmarks import fitted_flow, landmark
 from .layers import LayerNetwork, heatmap_centroid
@@ -29,7 +28,6 @@ __all__ = [
     "count_timestamp_image",
     "event_volume",
     "fitted_flow",
-    "hats",
     "heatmap_centroid",
     "landmark",
     "move_by_flow",

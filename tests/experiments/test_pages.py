@@ -115,9 +115,7 @@ def test_the_thesis_question_is_answered_with_sign_and_interval_also_where_it_lo
     ]
     monkeypatch.setattr(differences, "_differences", lambda: found)
     sentence, _, head, _, *rows = differences.thesis_answers().splitlines()
-    assert sentence.startswith(
-        "Of 3 differences to the Baseline, 2 hold: 1 gains and 1 losses (2 or"
-    )
+    assert sentence.startswith("Of 3 differences to the Baseline, 2 hold: gains 1, losses 1 (2 or")
     assert head.startswith("| tested on | TNT, all saccades | TNT+regress, all saccades | TNT, the")
     assert rows == [
         "| all |  |  | -.020 (-.100 to +.060) |  |",

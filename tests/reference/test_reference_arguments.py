@@ -94,10 +94,6 @@ OTHERS = [
         "`representation` must be 'count_time', 'mean_time' or 'time_surface', got 'count'",
     ),
     (
-        lambda: tnt_reference.hats(T, X, Y, P, **WINDOW, polarity="signed"),
-        "`polarity` must be 'split' or 'unsigned': histograms have no sign",
-    ),
-    (
         lambda: tnt_reference.count_timestamp_image(T, X, Y, P[1:], **AT),
         "`p` must be as long as `t`: got 3 and 4",
     ),

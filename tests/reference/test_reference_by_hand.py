@@ -5,14 +5,12 @@ A comparison of twins cannot see an error that both have.
 
 from itertools import product
 
-import numpy as np
 import pytest
 import torch
 from tnt_reference import (
     count_timestamp_image,
     event_volume,
     fitted_flow,
-    hats,
     landmark,
     time_image,
     tnt_volume,
@@ -154,47 +152,6 @@ def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
     image = count_timestamp_image([9, 10, 49, 50], [0, 1, 2, 0], [0, 0, 0, 1], [1, 1, 1, 1], **at)
     assert image[0].tolist() == [[0, 1, 1], [0, 0, 0]] and image[1].sum() == image[3].sum() == 0
     assert image[2].tolist() == [[0, 0, pytest.approx(39 / 40)], [0, 0, 0]]
-
-
-def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
-    """Cells have 10 x 5 pixels.
-
-    The upper left one has ON events at (2, 1), twice, then at (4, 2), and an OFF event at (4,
-    1).
-    """
-    events = [(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]
-    t, x, y, p = np.array(events).T
-    at = dict(start_us=0, window_us=100, sensor=(20, 10), grid=(2, 2))
-    expected = torch.zeros(2, 7, 7, 2, 2)  # polarity, z_y + 3, z_x + 3, row, column
-    # the second at (2, 1) finds the first; five events are in this cell
-    expected[0, 3, 3, 0, 0] = 1 / 5
-    # the one at (4, 2) finds both, two pixels to the left and one up
-    expected[0, 2, 1, 0, 0] = 2 / 5
-    # (9, 4) is too far from these; (10, 4) is in the next cell
-    torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))
-    expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
-    expected[0, 2, 3, 0, 0] = 1 / 5  # an ON event finds the OFF event
-    torch.testing.assert_close(
-        hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2)
-    )
-    with pytest.raises(TypeError, match="`x` and `y` must be whole pixels"):
-        hats(t, x + 0.5, y, p, **at)
-
-
-def test_hats_reach_three_pixels_in_each_direction():
-    """An earlier event counts in the place of the neighbourhood where it lies.
-
-    This holds up to the rim and the corners of the neighbourhood, and not beyond.
-    """
-    at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
-    for z_x in range(-4, 5):
-        for z_y in range(-4, 5):
-            every = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)
-            histogram = every[:, 0, 0].reshape(7, 7)
-            expected = torch.zeros(7, 7)
-            if max(abs(z_x), abs(z_y)) <= 3:
-                expected[z_y + 3, z_x + 3] = 0.5
-            assert torch.equal(histogram, expected)
 
 
 def test_an_image_of_times_leaves_out_shares_below_a_billionth():
