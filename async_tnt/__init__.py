@@ -16,6 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.networks.loading import bundled_models, load_model
     from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+    from async_tnt.networks.models.compiled_network import CompiledNetwork
     from async_tnt.networks.models.model import Model
     from async_tnt.sources.files.playback import replay
     from async_tnt.sources.files.recording import open_recording
@@ -24,6 +25,7 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.sources.queues.queue import PacketQueue
     from async_tnt.streaming.compile_ahead import warmup
     from async_tnt.streaming.decision import Decision, Object
+    from async_tnt.streaming.output import Output
     from async_tnt.streaming.processor import Processor
     from async_tnt.streaming.streams import WindowVolume, astream, stream, volumes
     from async_tnt.volume.config import TNTConfig
@@ -40,10 +42,12 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "streaming.compile_ahead": "warmup",
             "volume.config": "TNTConfig",
             "streaming.decision": "Decision Object",
+            "streaming.output": "Output",
             "volume.counts": "Counts",
             "volume.event_forms": "event_columns",
             "volume.events": "EVENT_DTYPE",
             "networks.models.compiled": "CompiledClassifier CompiledRegressor",
+            "networks.models.compiled_network": "CompiledNetwork",
             "networks.loading": "bundled_models load_model",
             "networks.models.model": "Model",
             "streaming.processor": "Processor",
@@ -62,11 +66,13 @@ __all__ = [
     "EVENT_DTYPE",
     "BackgroundReader",
     "CompiledClassifier",
+    "CompiledNetwork",
     "CompiledRegressor",
     "Counts",
     "Decision",
     "Model",
     "Object",
+    "Output",
     "PacketQueue",
     "PixelFilter",
     "Processor",

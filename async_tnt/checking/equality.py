@@ -5,7 +5,7 @@
 (b) After every prefix of a window's events, the volume equals the reference's volume to 1e-6 of its
     largest cell, and the landmark equals the reference's landmark to 1e-9 pixels.
 (c) The logits equal the reference's logits to 1e-4, or to 1e-4 of the largest logit where that
-    exceeds 1. So the class is the same, too, except for ties.
+    exceeds 1. So the class is the same, too, except for ties. The same holds for raw outputs.
 (d) A decision after every event has the same bits as the answer of the whole network, though only
     the changed values are computed.
 
@@ -23,13 +23,18 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.models.compiled import CompiledRegressor
+from async_tnt.networks.models.compiled_network import compiled_network_of
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.torch_modules import landmark_function
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.output import Output
 from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.streams import pieces_for
 from async_tnt.volume.config import LANDMARKS, TIME_IMAGES, TNTConfig
 from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
@@ -46,8 +51,8 @@ LANDMARK_BOUND = 1e-9
 REGRESSED_LANDMARK_BOUND = 1e-4
 """Largest distance of two landmarks, in grid pixels, for the landmark `regressor`. That landmark
 comes from float32 convolutions."""
-LOGIT_BOUND = 1e-4
-"""Largest difference of two logits."""
+OUTPUT_BOUND = 1e-4
+"""Largest difference of two logits, or of two numbers of a raw output."""
 
 
 @dataclass
@@ -229,12 +234,13 @@ def _check_network(
     from async_tnt.checking.reference import reference_pipeline, reference_windows
 
     bits = Comparison("bits that depend on earlier decisions", "the model", 0.0)
-    logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
+    what = "outputs" if model.outputs else "logits"
+    outputs = Comparison(f"{what} against reference", "the model", OUTPUT_BOUND)
     config = model.config
     pipeline = reference_pipeline(model)
-    whole_network = CompiledClassifier(model)
+    whole_network = compiled_network_of(model)
     # The same network is used for all windows, because it must keep nothing of the previous window.
-    incremental = CompiledClassifier(model)
+    incremental = compiled_network_of(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     # If each read builds the volume again from all events of the window, a decision after each
     # event would take too long. Then there are decisions only at the ends of prefixes.
@@ -249,7 +255,7 @@ def _check_network(
             # more.
             first_us = None
             open_config = config.replace(window_events=window_events.size + 1)
-        processor = Processor(
+        processor: Processor[Any] = Processor(
             open_config,
             classifier=incremental,
             regressor=regressor,
@@ -257,18 +263,27 @@ def _check_network(
             every_events=every_events,
         )
         for n_before, n in pairwise([0, *ends]):
-            decisions = processor.push(window_events[n_before:n])
-            decision = processor.fire() if every_events is None else decisions[-1]
-            stream_logits = decision.logits
-            whole_logits = whole_network(processor.volume())
-            reference_logits = pipeline(window_events[:n], window_start_us).reshape(
-                stream_logits.shape
-            )
-            has_other_bits = stream_logits.view(np.uint32) != whole_logits.view(np.uint32)
-            bits.add(float(np.count_nonzero(has_other_bits)))
-            largest = max(1.0, np.abs(reference_logits).max())
-            logits.add(float(np.abs(stream_logits - reference_logits).max() / largest))
-    return [bits, logits]
+            for piece in pieces_for(processor, window_events[n_before:n]):
+                answers = processor.push(piece)
+            answer = processor.fire() if every_events is None else answers[-1]
+            of_reference = pipeline(window_events[:n], window_start_us)
+            whole = _arrays(whole_network(processor.volume()))
+            for array, other, expected in zip(_arrays(answer), whole, of_reference, strict=True):
+                has_other_bits = array.view(np.uint32) != other.view(np.uint32)
+                bits.add(float(np.count_nonzero(has_other_bits)))
+                largest = max(1.0, np.abs(expected).max())
+                difference = np.abs(array - expected.reshape(array.shape)).max()
+                outputs.add(float(difference / largest))
+    return [bits, outputs]
+
+
+def _arrays(answer: Any) -> tuple[np.ndarray, ...]:
+    """The arrays of a Decision or an Output, or of what a network returned."""
+    if isinstance(answer, Output):
+        return answer.arrays
+    if isinstance(answer, Decision):
+        return (answer.logits,)
+    return answer if isinstance(answer, tuple) else (answer,)
 
 
 def _difference(volume: np.ndarray, reference: np.ndarray) -> float:

@@ -63,8 +63,11 @@ def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> 
     return x, y
 
 
-def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
-    """The whole model in torch: a function from a window's events and its start to logits."""
+def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], list[np.ndarray]]:
+    """The whole model in torch: a function from a window's events and its start to its outputs.
+
+    The only output of a model with classes are the logits.
+    """
     config = model.config
     settings = {name: getattr(config, name) for name in PIPELINE_SETTINGS}
     pipeline = tnt_reference.Pipeline(
@@ -75,11 +78,13 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
         **settings,
     )
 
-    def logits_of(events: np.ndarray, start_us: int) -> np.ndarray:
+    def outputs_of(events: np.ndarray, start_us: int) -> list[np.ndarray]:
         with torch.inference_mode():
-            return pipeline(*(events[field] for field in "txyp"), start_us).numpy()
+            answer = pipeline(*(events[field] for field in "txyp"), start_us)
+        tensors = answer if isinstance(answer, tuple) else (answer,)
+        return [tensor.numpy() for tensor in tensors]
 
-    return logits_of
+    return outputs_of
 
 
 def reference_windows(

@@ -24,6 +24,7 @@ from async_tnt.sources.files.nmnist import SENSOR as SAMPLE_SENSOR
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.streaming.compile_ahead import warmup
 from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.streams import pieces_for
 from async_tnt.volume.sensor import Sensor
 from async_tnt.volume.volume import TNTVolume
 
@@ -89,6 +90,7 @@ def main(args: argparse.Namespace) -> int:
         "name": args.model,
         "config": model.config.to_dict(),
         "classes": len(model.classes),
+        "outputs": len(model.outputs),
     }
     report["events_from"] = origin
     if args.json:
@@ -170,12 +172,15 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
 
 def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
     """Yield the decisions a second in each recording, with a decision after every event."""
-    processor = Processor(model, every_events=1)
+    processor: Processor[Any] = Processor(model, every_events=1)
     for events in recordings:
         processor.reset()
         packets = _packets(events)
         started = time.perf_counter()
-        n_decisions = sum(len(processor.push(packet)) for packet in packets)
+        n_decisions = 0
+        for packet in packets:
+            for piece in pieces_for(processor, packet):
+                n_decisions += len(processor.push(piece))
         yield n_decisions / (time.perf_counter() - started)
 
 

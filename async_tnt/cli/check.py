@@ -34,7 +34,7 @@ Compare the stream with the batch reference in torch, on recordings. For every l
   - At prefixes of each window, the volume equals the reference's to 1e-6 of its largest
     cell, and the landmark to 1e-9 pixels.
   - The model's logits equal the reference's to 1e-4 (of the largest logit, if that
-    exceeds 1), and the class is the same.
+    exceeds 1), and the class is the same. So do raw outputs.
   - A decision after every event, refreshed from the one before, has the bits of a pass
     through the whole network.
 

@@ -120,6 +120,11 @@ def main(args: argparse.Namespace) -> int:
     if args.columns is not None:
         check_order("columns", args.columns)
     model = model_of(args.model)
+    if model.outputs:
+        raise ValueError(
+            f"{args.model} has raw outputs, and evaluate scores classes and objects: "
+            "async_tnt.stream yields its outputs for scores of your own"
+        )
     if model.places is not None:
         return evaluate_objects(args, model)
 

@@ -1,4 +1,4 @@
-"""async-tnt export: a model's classifier as an ONNX file."""
+"""async-tnt export: a model's network as an ONNX file."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from async_tnt.base.files import check_writable, replacing, user_path
 from async_tnt.base.messages import one_line
 from async_tnt.cli.options import MODELS_TEXT, model_of
 from async_tnt.cli.output import say
-from async_tnt.networks.layers.conversion_check import compare
-from async_tnt.networks.models.compiled import CompiledClassifier
+from async_tnt.networks.layers.conversion_check import Function, compare
+from async_tnt.networks.models.compiled_network import CompiledNetwork, compiled_network_of
+from async_tnt.networks.models.model import Model
 
 DESCRIPTION = """\
-Write a model's classifier to an ONNX file, for other programs and languages.
+Write a model's network to an ONNX file, for other programs and languages.
 
   input   `volume`, float32, (1, C, H, W)
-  output  `logits`, float32, (1, n_classes); of a map model (1, n_classes + 1, R, C)
+  output  `logits`, float32, (1, n_classes); of a map model (1, n_classes + 1, R, C);
+          of a model of raw outputs these, with their names
 
 The file also holds configuration, classes and training record. So
 `async-tnt run --model FILE.onnx` and `async_tnt.networks.OnnxClassifier` know how
@@ -24,7 +26,7 @@ events become its volume. A model with a landmark network (landmark "regressor")
 such form and is not exported.
 
 Before the file gets its name, onnxruntime runs it on sparse, dense and empty volumes.
-All logits must agree with the compiled network's to 1e-4 of the largest.
+All outputs must agree with the compiled network's to 1e-4 of the largest number.
 
   async-tnt export digits --out digits.onnx         a bundled model
   async-tnt export mine.safetensors --out mine.onnx --json
@@ -46,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt export`. Returns the exit code."""
-    from async_tnt.networks.onnx.export import to_onnx
-    from async_tnt.networks.onnx.network import OnnxClassifier, import_onnxruntime
+    from async_tnt.networks.onnx.export import exported_shapes, to_onnx
+    from async_tnt.networks.onnx.network import import_onnxruntime, output_function
 
     check_writable(args.out, (".onnx",))
     model = model_of(args.model)
@@ -60,13 +62,12 @@ def main(args: argparse.Namespace) -> int:
     version = import_onnxruntime().__version__
 
     content = to_onnx(model).SerializeToString()
-    compiled = CompiledClassifier(model)
     difference = None
     try:
         with replacing(args.out) as part:
             part.write_bytes(content)
             # the check reads the file itself, because the file is what is kept
-            compare(OnnxClassifier(part), compiled, compiled.shape)
+            compare(output_function(part), _compiled_function(model), model.config.shape)
     except ValueError as error:
         difference = one_line(error)
     agrees = difference is None
@@ -80,11 +81,10 @@ def main(args: argparse.Namespace) -> int:
         }
         say(json.dumps(report))
     elif agrees:
-        logits_shape = (len(model.classes),) if model.places is None else model.logits_shape
-        say(
-            f"{args.out} ({len(content) / 1e3:.0f} kB): volume {(1, *compiled.shape)} -> logits "
-            f"{(1, *logits_shape)}"
-        )
+        shapes = exported_shapes(model).items()
+        outputs = ", ".join(f"{name} {(1, *shape)}" for name, shape in shapes)
+        size = f"{args.out} ({len(content) / 1e3:.0f} kB)"
+        say(f"{size}: volume {(1, *model.config.shape)} -> {outputs}")
         say(f"onnxruntime {version} agrees with the compiled network")
     else:
         say(
@@ -92,3 +92,11 @@ def main(args: argparse.Namespace) -> int:
             f"{difference}"
         )
     return 0 if agrees else 1
+
+
+def _compiled_function(model: Model) -> Function:
+    """The compiled network of a model, as a function of a volume to all outputs."""
+    network = compiled_network_of(model)
+    if isinstance(network, CompiledNetwork):
+        return network
+    return lambda volume: [network(volume)]

@@ -203,6 +203,7 @@ def _model_report(model: Model) -> dict[str, Any]:
     """What a model holds, as --json prints it."""
     return {
         "classes": model.classes,
+        "outputs": {name: list(shape) for name, shape in model.output_shapes.items()},
         "config": model.config.to_dict(),
         "volume": model.config.shape,
         "layers": {
@@ -219,7 +220,12 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
     """Yield what a model holds, as lines of text."""
     config = model.config
     report = _model_report(model)
-    yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
+    if model.outputs:
+        shapes = report["outputs"].items()
+        outputs = [f"{output} {'x'.join(map(str, shape))}" for output, shape in shapes]
+        yield f"{name}: raw outputs: {', '.join(outputs)}"
+    else:
+        yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
 
     grid = f"{format_size(config.sensor)}, grid {format_size(config.grid)}"
     if config.window_events is None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, TextIO
 from async_tnt.base.checks import ParameterError
 from async_tnt.base.messages import printable
 from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.output import Output
 
 if TYPE_CHECKING:
     from async_tnt.sources.queues.background_reader import BackgroundReader
@@ -103,34 +104,38 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
 
 @dataclass(frozen=True)
 class DecisionLines:
-    """Prints decisions on stdout, one a line, for people or for programs.
+    """Prints decisions, or raw outputs, on stdout, one a line, for people or for programs.
 
     Parameters
     ----------
     as_json : whether each line is a JSON object.
     with_latency : whether each line has the latency of its decision.
+    of_outputs : whether the model has raw outputs.
     """
 
     as_json: bool
     with_latency: bool
+    of_outputs: bool = False
 
     def print_header(self) -> None:
         """Print the names of the columns. With `as_json`, print nothing."""
         if not self.as_json:
             latency = f" {'us':>7}" if self.with_latency else ""
+            answer = "" if self.of_outputs else f"{'label':<8} {'prob':>5} "
+            outputs = "           outputs, least to largest" if self.of_outputs else ""
             say(
-                f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} "
-                f"{'events':>7}{latency}  why"
+                f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {answer}"
+                f"{'events':>7}{latency}  why{outputs}"
             )
 
     def print(
         self,
         name: str,
-        decision: Decision,
+        decision: Decision | Output,
         latency_us: float,
         queue: BackgroundReader | None = None,
     ) -> None:
-        """Print a decision.
+        """Print a decision or an output.
 
         Parameters
         ----------
@@ -143,26 +148,39 @@ class DecisionLines:
         else:
             say(self._text(name, decision, latency_us))
 
-    def _text(self, name: str, decision: Decision, latency_us: float) -> str:
-        """A decision as a line for people."""
+    def _text(self, name: str, decision: Decision | Output, latency_us: float) -> str:
+        """A decision or an output as a line for people."""
         start_ms = decision.window_start_us / 1e3
         length_ms = (decision.time_us - decision.window_start_us) / 1e3
         window = f"{start_ms:.3f}+{length_ms:.3f}"
         latency = f" {latency_us:>7.1f}" if self.with_latency else ""
-        objects = "".join(
-            f"  {item.id}: {item.label} ({item.x:.0f}, {item.y:.0f})"
-            for item in decision.objects or ()
-        )
+        if isinstance(decision, Output):
+            answer = ""
+            details = "  ".join(
+                f"{output} {array.min():.4g} to {array.max():.4g}"
+                for output, array in zip(decision.names, decision.arrays, strict=True)
+            )
+            ending = f"{decision.trigger:<12}  {details}"
+        else:
+            answer = f"{decision.label or '-':<8} {decision.probability:>5.3f} "
+            objects = "".join(
+                f"  {item.id}: {item.label} ({item.x:.0f}, {item.y:.0f})"
+                for item in decision.objects or ()
+            )
+            ending = f"{decision.trigger}{objects}"
         return (
             f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  "
-            f"{decision.label or '-':<8} {decision.probability:>5.3f} {decision.events:>7}"
-            f"{latency}  {decision.trigger}{objects}"
+            f"{answer}{decision.events:>7}{latency}  {ending}"
         )
 
     def _json(
-        self, name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None
+        self,
+        name: str,
+        decision: Decision | Output,
+        latency_us: float,
+        queue: BackgroundReader | None,
     ) -> str:
-        """A decision as a line of JSON."""
+        """A decision or an output as a line of JSON."""
         fields = {"recording": name, **decision.to_dict()}
         if self.with_latency:
             fields["latency_us"] = round(latency_us, 3)

@@ -29,7 +29,9 @@ from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.compile_ahead import must_compile
 from async_tnt.streaming.decision import Decision, class_of_recording
+from async_tnt.streaming.output import Output
 from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.streams import pieces_for
 from async_tnt.streaming.windows import TimeUnitCheck
 
 if TYPE_CHECKING:
@@ -38,7 +40,8 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Stream recordings through a model and print each decision: its time and window, the label and its
 probability, and the number of events. After each recording a line names the class of the highest
-mean probability over its closed windows.
+mean probability over its closed windows. Of a model of raw outputs each line has the least and the
+largest number of each output.
 
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
@@ -97,7 +100,7 @@ class _Run:
     """
 
     engine: Engine
-    processor: Processor
+    processor: Processor[Any]
     pixels: ModelPixels
     lines: DecisionLines
 
@@ -166,7 +169,8 @@ def _prepare(args: argparse.Namespace) -> _Run:
     # The first call of an engine takes longer, so it is made now. A decision about an empty window
     # changes nothing.
     processor.fire()
-    return _Run(engine, processor, pixels, DecisionLines(args.json, args.latency))
+    lines = DecisionLines(args.json, args.latency, of_outputs=processor.answers_are_views)
+    return _Run(engine, processor, pixels, lines)
 
 
 # -- recordings ------------------------------------------------------------------------------------
@@ -176,7 +180,7 @@ def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None
     """Print the decisions of a recording, then the recording's class.
 
     The class of the recording is the one with the highest mean probability over the closed windows.
-    With --json, and for a model that finds objects, only the decisions are printed.
+    With --json, for a model that finds objects, and for raw outputs, the class is left out.
 
     Raises
     ------
@@ -184,40 +188,42 @@ def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None
     """
     run.processor.reset()
     push = _push_events if run.lines.with_latency else _push_packets
+    n_windows = 0
     window_probabilities = []
-    has_objects = False
-    for decision, latency_us in _with_last_decisions(push(packets, run.processor), run.processor):
-        run.lines.print(str(path), decision, latency_us)
-        has_objects = decision.objects is not None
-        if decision.complete or decision.trigger == "end":
-            window_probabilities.append(decision.probabilities)
+    for answer, latency_us in _with_last_decisions(push(packets, run.processor), run.processor):
+        run.lines.print(str(path), answer, latency_us)
+        if answer.complete or answer.trigger == "end":
+            n_windows += 1
+            if isinstance(answer, Decision) and answer.objects is None:
+                window_probabilities.append(answer.probabilities)
 
-    if window_probabilities and not run.lines.as_json and not has_objects:
+    if window_probabilities and not run.lines.as_json:
         label, details = class_of_recording(run.engine.classes, window_probabilities)
         say(f"{path.name}: {label} ({details})")
     counts = run.processor.counts
     complain_late(str(path), counts.dropped_late, counts.received, "--start-us")
-    if not window_probabilities:
+    if not n_windows:
         reason = "no event in any window" if counts.received else run.pixels.no_events_message
         raise ValueError(f"{path}: {reason}")
 
 
 def _push_packets(
-    packets: Iterable[np.ndarray], processor: Processor
-) -> Iterator[tuple[Decision, float]]:
+    packets: Iterable[np.ndarray], processor: Processor[Any]
+) -> Iterator[tuple[Decision | Output, float]]:
     """Push packets. Yields each decision, and the microseconds of the call that made it."""
     time_unit = TimeUnitCheck(processor.config)
     for packet in packets:
-        started_ns = time.perf_counter_ns()
-        decisions = processor.push(packet)
-        latency_us = (time.perf_counter_ns() - started_ns) / 1e3
-        for decision in time_unit.watch(decisions):
-            yield decision, latency_us
+        for piece in pieces_for(processor, packet):
+            started_ns = time.perf_counter_ns()
+            decisions = processor.push(piece)
+            latency_us = (time.perf_counter_ns() - started_ns) / 1e3
+            for decision in time_unit.watch(decisions):
+                yield decision, latency_us
 
 
 def _push_events(
-    packets: Iterable[np.ndarray], processor: Processor
-) -> Iterator[tuple[Decision, float]]:
+    packets: Iterable[np.ndarray], processor: Processor[Any]
+) -> Iterator[tuple[Decision | Output, float]]:
     """Push single events. Yields each decision, and the microseconds of the call that made it."""
     clock_ns = time.perf_counter_ns
     time_unit = TimeUnitCheck(processor.config)
@@ -233,8 +239,8 @@ def _push_events(
 
 
 def _with_last_decisions(
-    earlier_decisions: Iterable[tuple[Decision, float]], processor: Processor
-) -> Iterator[tuple[Decision, float]]:
+    earlier_decisions: Iterable[tuple[Decision | Output, float]], processor: Processor[Any]
+) -> Iterator[tuple[Decision | Output, float]]:
     """Yield the earlier decisions, then those of `finish`, with the microseconds of its call."""
     yield from earlier_decisions
     started_ns = time.perf_counter_ns()

@@ -13,7 +13,7 @@ from async_tnt.base.json_text import parse_json
 from async_tnt.base.messages import one_line, short
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
-from async_tnt.networks.onnx.network import OnnxClassifier
+from async_tnt.networks.onnx.network import OnnxClassifier, has_raw_outputs
 from async_tnt.volume.config import TNTConfig
 
 
@@ -40,7 +40,8 @@ def choose_engine(
     """The engine that runs a model's networks, together with the model.
 
     The networks of a model file run compiled, those of an .onnx file in onnxruntime. An .onnx
-    file of another program runs compiled where all of its nodes have a compiled form.
+    file with raw outputs runs compiled, and one of another program where all of its nodes have a
+    compiled form.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def choose_engine(
     """
     if config is not None:
         return _engine_of_other_program(user_path(name_or_path), config)
-    if is_onnx(name_or_path):
+    if is_onnx(name_or_path) and not has_raw_outputs(user_path(name_or_path)):
         classifier = OnnxClassifier(name_or_path)
         if classifier.exported is None:
             raise ParameterValueError(

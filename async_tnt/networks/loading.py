@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 
 from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.base.messages import one_line
-from async_tnt.networks.models.model import FORMAT, Model
+from async_tnt.networks.models.model import FORMATS, Model
 from async_tnt.networks.models.model_file import (
     checksum_of,
     parse_metadata,
@@ -55,8 +55,8 @@ def load_model(
         the home folder.
     config : how events become volumes, for an .onnx network of another program. Other files contain
         their configuration.
-    classes : class names in the order of the outputs, for an .onnx network of another program; by
-        default "0", "1", ...
+    classes : class names in the order of the logits, for an .onnx network of another program.
+        Without them the model has raw outputs, with the names that they have in the file.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def load_model(
 def _read_model(path: Path) -> Model:
     """The model in a .safetensors file."""
     try:
-        weights, metadata = read_tensors(path, FORMAT)
+        weights, metadata = read_tensors(path, FORMATS)
     except ValueError as error:
         raise ValueError(
             f"{path} is not a model that this release can read: {one_line(error)}"
@@ -122,9 +122,16 @@ def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> 
     file_checksum = metadata.get("sha256")
     if file_checksum is not None and file_checksum != checksum_of(weights, metadata):
         raise ValueError("its checksum differs; copy or download it again")
-    config, classes, record = read_description(metadata, "network")
+    description = read_description(metadata, "network")
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")
     network = parse_metadata(metadata, "network")
-    return Model(config, weights, classes, record, network=network)
+    return Model(
+        description.config,
+        weights,
+        description.classes,
+        description.record,
+        network=network,
+        outputs=description.outputs,
+    )

@@ -17,7 +17,7 @@ from async_tnt.base.messages import short
 from async_tnt.kernels.entry_points import ENTRY_POINTS, prepare
 from async_tnt.kernels.volume.absorb import absorb
 from async_tnt.networks.loading import load_model
-from async_tnt.networks.models.compiled import CompiledClassifier
+from async_tnt.networks.models.compiled_network import compiled_network_of
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import TNTConfig
@@ -46,7 +46,7 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
     elif isinstance(model, Model):
         _make_stream(model.config)
         Processor(model, every_events=1, late="drop")
-        CompiledClassifier(model)(np.zeros(model.config.shape, np.float32))
+        compiled_network_of(model)(np.zeros(model.config.shape, np.float32))
     elif isinstance(model, TNTConfig):
         _make_stream(model)
     else:

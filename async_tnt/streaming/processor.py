@@ -13,7 +13,7 @@ import copy
 import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Generic, cast
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from async_tnt.base.running import Method, Running, one_at_a_time
 from async_tnt.kernels.decisions.trigger import NOT_DUE, ONLY_IF_SURE, until_due, why_due
 from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US
+from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
-from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.decision import Trigger
+from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
 from async_tnt.streaming.saved_state import dump_state, load_state, named_networks
 from async_tnt.streaming.stream_networks import networks_of
@@ -40,6 +42,7 @@ from async_tnt.streaming.window_classifier import (
     Classifier,
     WindowClassifier,
 )
+from async_tnt.streaming.window_outputs import WindowOutputs
 from async_tnt.streaming.windows import WindowScheduler
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
@@ -63,13 +66,17 @@ def _recovering(method: Method) -> Method:
     return cast(Method, recovering)
 
 
-class Processor(TriggerAttributes):
+class Processor(TriggerAttributes, Generic[AnswerT]):
     """A stream of events that is classified, window by window, while the events arrive.
 
     Windows lie end to end, from `start_us` or else from the first event. A window is classified
     when it closes, and skipped if it holds no events. A window of `window_events` begins with the
     first event after the previous window, and is classified when its last event arrives. The
     decisions do not depend on how the stream is cut into packets.
+
+    With a model of raw outputs each answer is an `Output`, not a `Decision`: for type checkers,
+    `Processor[Output](model)`. Its arrays are views, which the next call changes. If a packet makes
+    several answers due, all but the last get arrays of their own.
 
     Parameters
     ----------
@@ -150,9 +157,13 @@ class Processor(TriggerAttributes):
         networks = networks_of(model, classifier, regressor, classes)
         config = networks.config
         self.config = config
-        self._classifier = WindowClassifier(
-            config, networks.classifier, networks.classes, confidence
-        )
+        self._classifier: WindowClassifier | WindowOutputs
+        if isinstance(networks.classifier, CompiledNetwork):
+            self._classifier = WindowOutputs(config, networks.classifier, confidence)
+        else:
+            self._classifier = WindowClassifier(
+                config, networks.classifier, networks.classes, confidence
+            )
         self._running = Running("Processor")
         self._triggers = Triggers(
             TriggerSettings(every_us=every_us, every_events=every_events, confidence=confidence)
@@ -188,7 +199,7 @@ class Processor(TriggerAttributes):
             self._open_windows(self.start_us)
             self._stream_time_us = -1  # no event has come
 
-    def push(self, events: Any) -> list[Decision]:
+    def push(self, events: Any) -> list[AnswerT]:
         """Process a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
 
         Returns
@@ -224,17 +235,17 @@ class Processor(TriggerAttributes):
             decoder = self._decoder
             columns = decoder.decode(events, False)
             if decoder.first_us < self._late_before_us:
-                return self._take_watched(columns)
+                return self._take_watched(columns, [])
             if not self._accepts_late:
                 columns = decoder.apply_policy(columns)
-            return self._absorb(columns)
+            return self._absorb(columns, [])
         except BaseException:
             self._recover()
             raise
         finally:
             running.now = False
 
-    def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
+    def push_one(self, t: int, x: int, y: int, p: int) -> list[AnswerT]:
         """`push` for one event.
 
         `t` is in microseconds, `x` and `y` are in pixels. The polarity `p` is 0 or 1, or -1 or +1.
@@ -247,24 +258,24 @@ class Processor(TriggerAttributes):
         try:
             volume = self._direct_volume
             if volume is None:
-                return self._take_watched(self._decoder.decode_one(t, x, y, p, False))
+                return self._take_watched(self._decoder.decode_one(t, x, y, p, False), [])
             n_before = volume.n_events if self._decides_by_event else -1
             outcome = volume.absorb_one(t, x, y, p)
             # the usual case, in which no single event makes a decision due
             if outcome == ABSORBED and n_before < 0:
                 return []
 
-            decisions: list[Decision] = []
+            decisions: list[AnswerT] = []
             if outcome == AT_LIMIT:
                 self._advance(t, decisions)
                 n_before = volume.n_events
                 outcome = volume.absorb_one(t, x, y, p)
             if outcome == LATE:
-                return decisions + self._look_at_late(t, x, y, p)
-            if outcome != ABSORBED:
-                return decisions + self._take_watched(self._decoder.decode_one(t, x, y, p, False))
-            if self._decides_by_event:
-                self._accept(self._decide_if_due(n_before), volume.newest_us, decisions)
+                self._look_at_late(t, x, y, p, decisions)
+            elif outcome != ABSORBED:
+                self._take_watched(self._decoder.decode_one(t, x, y, p, False), decisions)
+            elif self._decides_by_event:
+                self._accept(self._decide_if_due(n_before, decisions), volume.newest_us, decisions)
             return decisions
         except BaseException:
             self._recover()
@@ -294,48 +305,46 @@ class Processor(TriggerAttributes):
             return None
         return windows.oldest, windows.oldest.start_us
 
-    def _take_watched(self, columns: Columns) -> list[Decision]:
+    def _take_watched(self, columns: Columns, decisions: list[AnswerT]) -> list[AnswerT]:
         """Add checked events. If the first event is late, first look for a restart."""
         if self._decoder.first_us >= self._late_before_us:
-            return self._absorb(self._decoder.apply_policy(columns))
+            return self._absorb(self._decoder.apply_policy(columns), decisions)
         watch = self._restarts
         first = watch.look(columns, self._newest_us, self._windows.oldest.n_events)
         if first is not None:
-            return self._begin_again(columns, first)
-        decisions = self._absorb(self._decoder.apply_policy(columns))
+            return self._begin_again(columns, first, decisions)
+        self._absorb(self._decoder.apply_policy(columns), decisions)
         watch.note(self._newest_us, self._windows.oldest.n_events)
         return decisions
 
-    def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
+    def _look_at_late(self, t: int, x: int, y: int, p: int, decisions: list[AnswerT]) -> None:
         """Check whether the clock has begun again at an event that has been counted as late."""
         columns = self._decoder.decode_one(t, x, y, p, False)
         first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
-        if first is None:
-            return []
-        return self._begin_again(columns, first)
+        if first is not None:
+            self._begin_again(columns, first, decisions)
 
     @property
     def _newest_us(self) -> int:
         """Time of the stream's newest event so far; -1 if there was none."""
         return max(self._stream_time_us, self._windows.oldest.newest_us)
 
-    def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
+    def _begin_again(self, columns: Columns, first: int, decisions: list[AnswerT]) -> list[AnswerT]:
         """End the stream, and begin another one.
 
         The new stream begins with the packets that waited, then the event `first` of `columns`.
         """
         waiting = self._restarts.waiting
-        decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
-        decisions += self._finish()
+        self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)), decisions)
+        self._finish(decisions)
         self._reset()
         for packet in (*waiting, part_of(columns, first, columns.n)):
-            decisions += self._absorb(self._decoder.apply_policy(packet))
+            self._absorb(self._decoder.apply_policy(packet), decisions)
         return decisions
 
-    def _absorb(self, columns: Columns) -> list[Decision]:
-        """Add checked events, and return the decisions that became due."""
+    def _absorb(self, columns: Columns, decisions: list[AnswerT]) -> list[AnswerT]:
+        """Add checked events, and append the decisions that became due."""
         windows = self._windows
-        decisions: list[Decision] = []
         first = 0
         n = columns.n
         # If the classifier raised an error when a window became full, this window is still open,
@@ -358,9 +367,7 @@ class Processor(TriggerAttributes):
                     self._advance(int(columns.t[first]), decisions)
         return decisions
 
-    def _absorb_until_decision(
-        self, columns: Columns, first: int, decisions: list[Decision]
-    ) -> int:
+    def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[AnswerT]) -> int:
         """Add events until one of them makes a decision due, and make this decision.
 
         Compiled code goes on after a decision that does not close the window. Returns the first
@@ -376,45 +383,67 @@ class Processor(TriggerAttributes):
         absorbed = windows.absorb(columns, first, stop)
         # a full window gets its last decision when it is closed
         if not windows.is_full:
-            self._accept(self._decide_if_due(n_before), oldest.newest_us, decisions)
+            self._accept(self._decide_if_due(n_before, decisions), oldest.newest_us, decisions)
         return absorbed
 
-    def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
+    def _absorb_stretch(self, columns: Columns, first: int, decisions: list[AnswerT]) -> int:
         """Add events up to the window's end, or to a decision that closes the window.
 
         Returns the first event not added.
         """
         oldest = self._windows.oldest
         self._windows.begin_sharing(columns, first)
+        assert isinstance(self._classifier, WindowClassifier)
         absorbed, new_decisions, error = self._classifier.decide_stretch(
             oldest, self._triggers.state, columns, first, columns.n
         )
         self._windows.share()
         if error is not None:
             raise error
-        self._accept(new_decisions, oldest.newest_us, decisions)
+        self._accept(cast(list[Any], new_decisions), oldest.newest_us, decisions)
         return absorbed
 
-    def _decide_if_due(self, n_before: int) -> list[Decision]:
+    def _decide(
+        self,
+        decisions: list[AnswerT],
+        trigger: Trigger,
+        complete: bool = False,
+        confidence: float | None = None,
+    ) -> Any:
+        """The decision about the oldest window as it is now.
+
+        Parameters
+        ----------
+        decisions : the earlier decisions of this call. If their arrays are views, the new decision
+            would change the last one: it gets arrays of its own.
+        trigger, complete, confidence : see `WindowClassifier.decide`.
+        """
+        if decisions and self._classifier.answers_are_views:
+            decisions[-1] = copy.copy(decisions[-1])
+        return self._classifier.decide(self._windows.oldest, trigger, complete, confidence)
+
+    def _decide_if_due(self, n_before: int, decisions: list[AnswerT]) -> list[AnswerT]:
         """The decision that the oldest window's newest event made due, if any.
 
+        Parameters
+        ----------
         n_before : number of events in the window before the newest events were added.
+        decisions : the earlier decisions of this call.
         """
         oldest = self._windows.oldest
         triggers = self._triggers
         why = why_due.call(triggers.state, n_before, oldest.n_events)
         if why == NOT_DUE:
             return []
-        decision = self._classifier.decide(
-            oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
-        )
+        confidence = triggers.settings.confidence
+        decision = self._decide(decisions, TRIGGER_NAMES[why], confidence=confidence)
         # With `confidence` alone, the window is classified after each event, but only an answer
         # that reaches the confidence is a decision.
         if why == ONLY_IF_SURE and not decision.complete:
             return []
         return [decision]
 
-    def _advance(self, t_us: int, decisions: list[Decision]) -> None:
+    def _advance(self, t_us: int, decisions: list[AnswerT]) -> None:
         """Let time pass to `t_us`. On the way, `every_us` fires, and windows close and open."""
         windows = self._windows
         triggers = self._triggers
@@ -425,9 +454,7 @@ class Processor(TriggerAttributes):
                 new_decisions = []
                 if oldest.n_events > triggers.n_at_decision:
                     confidence = triggers.settings.confidence
-                    new_decisions = [
-                        self._classifier.decide(oldest, "every_us", confidence=confidence)
-                    ]
+                    new_decisions = [self._decide(decisions, "every_us", confidence=confidence)]
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new_decisions, t_us, decisions)
             elif end_us <= t_us:
@@ -436,13 +463,13 @@ class Processor(TriggerAttributes):
                 break
         self._open_windows(t_us)
 
-    def _decide_and_close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
+    def _decide_and_close_oldest(self, now_us: int, decisions: list[AnswerT]) -> None:
         """Decide about the complete oldest window, unless it is empty, and close it."""
         oldest = self._windows.oldest
         # The decision is made before the window is closed, so that the window stays open if the
         # classifier raises an error.
         if oldest.n_events:
-            decisions.append(self._classifier.decide(oldest, "window", complete=True))
+            decisions.append(self._decide(decisions, "window", complete=True))
         self._stream_time_us = max(self._newest_us, now_us)
         self._windows.close_oldest()
         self._begin_oldest(now_us)
@@ -453,7 +480,7 @@ class Processor(TriggerAttributes):
             self._begin_oldest(t_us)
         self._windows.set_limit(self._triggers.next_due_us)
 
-    def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
+    def _accept(self, new: list[AnswerT], now_us: int, decisions: list[AnswerT]) -> None:
         """Append new decisions about the oldest window. A complete decision closes it early."""
         decisions += new
         if new:
@@ -481,30 +508,30 @@ class Processor(TriggerAttributes):
             self._triggers.begin_window(now_us, None)
         self._known_oldest = self._oldest_window()
 
-    def fire(self) -> Decision:
+    def fire(self) -> AnswerT:
         """Classify the open window as it is now, without any change to the stream.
 
         Before the first event, an empty volume is classified.
         """
         self._running.begin()
         try:
-            return self._classifier.decide(self._windows.oldest, "fire")
+            answer: AnswerT = self._decide([], "fire")
+            return answer
         finally:
             self._running.now = False
 
     @one_at_a_time
     @_recovering
-    def finish(self) -> list[Decision]:
+    def finish(self) -> list[AnswerT]:
         """End the stream: classify the open windows that hold events, and close them.
 
         The decisions have `complete` False and the trigger `end`. Events of these windows that
         still come are late. But if windows have a number of events, such events begin another
         window.
         """
-        return self._finish()
+        return self._finish([])
 
-    def _finish(self) -> list[Decision]:
-        decisions: list[Decision] = []
+    def _finish(self, decisions: list[AnswerT]) -> list[AnswerT]:
         end_us = self._newest_us
         # If the classifier raised an error when this window became full, the window is still open.
         # It is complete, so its decision has the trigger `window`, not `end`.
@@ -513,7 +540,7 @@ class Processor(TriggerAttributes):
         while len(self._windows):
             oldest = self._windows.oldest
             if oldest.n_events:
-                decisions.append(self._classifier.decide(oldest, "end"))
+                decisions.append(self._decide(decisions, "end"))
             self._stream_time_us = end_us
             self._windows.close_oldest()
             self._begin_oldest(end_us)
@@ -558,8 +585,16 @@ class Processor(TriggerAttributes):
 
     @property
     def classes(self) -> tuple[str, ...] | None:
-        """Class names; None before the first decision if none were given."""
+        """Class names; None before the first decision if none were given.
+
+        They are empty for a model of raw outputs.
+        """
         return self._classifier.classes
+
+    @property
+    def answers_are_views(self) -> bool:
+        """Whether answers are `Output` values, whose arrays the next call changes."""
+        return self._classifier.answers_are_views
 
     @property
     def start_us(self) -> int | None:
@@ -604,6 +639,7 @@ class Processor(TriggerAttributes):
             self._classifier.decides_in_stretches and not times_several_windows
         )
         if self._decides_in_stretches and (settings.by_event or settings.every_us is not None):
+            assert isinstance(self._classifier, WindowClassifier)
             self._classifier.prepare_stretches()
 
     @one_at_a_time
@@ -625,7 +661,7 @@ class Processor(TriggerAttributes):
         *,
         classifier: Classifier | None = None,
         regressor: Regressor | None = None,
-    ) -> Processor:
+    ) -> Processor[AnswerT]:
         """A Processor that continues the stream of `save_state`, with the same settings.
 
         `model`, `classifier` and `regressor` are those that the saved Processor was made with.
@@ -654,7 +690,7 @@ class Processor(TriggerAttributes):
             )
         return processor
 
-    def __copy__(self) -> Processor:
+    def __copy__(self) -> Processor[AnswerT]:
         """A Processor that continues the stream by itself, as a Processor from a pickle does."""
         return copy.deepcopy(self)
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from async_tnt.base.checks import ParameterTypeError
 from async_tnt.networks.loading import load_model
-from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.models.compiled import CompiledRegressor
+from async_tnt.networks.models.compiled_network import CompiledNetwork, compiled_network_of
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.window_classifier import Classifier
 from async_tnt.volume.config import TNTConfig
@@ -20,7 +21,7 @@ class StreamNetworks:
     """The configuration and the networks of a stream. The fields are parameters of `Processor`."""
 
     config: TNTConfig
-    classifier: Classifier
+    classifier: Classifier | CompiledNetwork
     regressor: Regressor | None
     classes: Sequence[str] | None
 
@@ -51,10 +52,14 @@ def networks_of(
         rule = "must be a Model, the name or path of one, or a TNTConfig"
         raise ParameterTypeError("model", rule, type(model).__name__)
 
-    if classifier is None:
-        classifier = CompiledClassifier(model)
+    network: Classifier | CompiledNetwork | None = classifier
+    if network is None:
+        network = compiled_network_of(model)
+    elif model.outputs and not isinstance(network, CompiledNetwork):
+        rule = "must be a CompiledNetwork, because the model has raw outputs"
+        raise ParameterTypeError("classifier", rule, type(network).__name__)
     if regressor is None and model.config.needs_regressor:
         regressor = CompiledRegressor(model)
     if classes is None:
         classes = model.classes
-    return StreamNetworks(model.config, classifier, regressor, classes)
+    return StreamNetworks(model.config, network, regressor, classes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from async_tnt.base.messages import short
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.processor import Processor
 from async_tnt.streaming.restarts import OnRestart, part_of
 from async_tnt.streaming.window_classifier import Classifier
@@ -43,13 +44,29 @@ class Settings(TypedDict, total=False):
     on_restart: OnRestart
 
 
+@overload
+def stream(
+    source: Iterable[Any], model: Processor[AnswerT], *, finish: bool = ...
+) -> Iterator[AnswerT]: ...
+
+
+@overload
 def stream(
     source: Iterable[Any],
-    model: Model | TNTConfig | str | Path | Processor,
+    model: Model | TNTConfig | str | Path,
+    *,
+    finish: bool = ...,
+    **settings: Unpack[Settings],
+) -> Iterator[Decision]: ...
+
+
+def stream(
+    source: Iterable[Any],
+    model: Model | TNTConfig | str | Path | Processor[Any],
     *,
     finish: bool = True,
     **settings: Unpack[Settings],
-) -> Iterator[Decision]:
+) -> Iterator[Any]:
     """The decisions about a source of events, made while the source is read.
 
     Parameters
@@ -67,7 +84,8 @@ def stream(
     Yields
     ------
     Decision : one for each window that closes and for each trigger; when the source ends, one for
-        each window that is still open.
+        each window that is still open. With a model of raw outputs an Output, whose arrays are
+        valid until the next one; for type checkers, pass a `Processor[Output](model)`.
 
     Examples
     --------
@@ -90,21 +108,50 @@ def _check_source(source: Any) -> None:
         raise ParameterTypeError("source", rule, type(source).__name__)
 
 
-def _stream(source: Iterable[Any], processor: Processor, finish: bool) -> Iterator[Decision]:
+def _stream(source: Iterable[Any], processor: Processor[Any], finish: bool) -> Iterator[Any]:
     time_unit = TimeUnitCheck(processor.config)
     for events in source:
-        yield from time_unit.watch(processor.push(events))
+        for piece in pieces_for(processor, events):
+            yield from time_unit.watch(processor.push(piece))
     if finish:
         yield from processor.finish()
 
 
+def pieces_for(processor: Processor[Any], events: Any) -> Iterable[Any]:
+    """A packet, or pieces of it if answers are views.
+
+    The answers that one push makes due lie in memory together, and a network's outputs may be
+    large. So no piece has more events than make one answer due by their number.
+    """
+    if not processor.answers_are_views:
+        return (events,)
+    decoder = EventDecoder(processor.config.sensor, "accept", LARGER_CAMERA)
+    return _pieces((events,), decoder, min(PIECE, processor.every_events or PIECE))
+
+
+@overload
+def astream(
+    source: AsyncIterable[Any], model: Processor[AnswerT], *, finish: bool = ...
+) -> AsyncIterator[AnswerT]: ...
+
+
+@overload
 def astream(
     source: AsyncIterable[Any],
-    model: Model | TNTConfig | str | Path | Processor,
+    model: Model | TNTConfig | str | Path,
+    *,
+    finish: bool = ...,
+    **settings: Unpack[Settings],
+) -> AsyncIterator[Decision]: ...
+
+
+def astream(
+    source: AsyncIterable[Any],
+    model: Model | TNTConfig | str | Path | Processor[Any],
     *,
     finish: bool = True,
     **settings: Unpack[Settings],
-) -> AsyncIterator[Decision]:
+) -> AsyncIterator[Any]:
     """`stream` for an asynchronous `source`.
 
     The classifier runs in the event loop, for microseconds at a time.
@@ -124,12 +171,13 @@ def astream(
 
 
 async def _astream(
-    source: AsyncIterable[Any], processor: Processor, finish: bool
-) -> AsyncIterator[Decision]:
+    source: AsyncIterable[Any], processor: Processor[Any], finish: bool
+) -> AsyncIterator[Any]:
     time_unit = TimeUnitCheck(processor.config)
     async for events in source:
-        for decision in time_unit.watch(processor.push(events)):
-            yield decision
+        for piece in pieces_for(processor, events):
+            for decision in time_unit.watch(processor.push(piece)):
+                yield decision
     if finish:
         for decision in processor.finish():
             yield decision
@@ -198,8 +246,10 @@ def volumes(
     )
 
 
-def _pieces(source: Iterable[Any], decoder: EventDecoder) -> Iterator[tuple[Any, ...]]:
-    """The events of a source, at most PIECE of them at once."""
+def _pieces(
+    source: Iterable[Any], decoder: EventDecoder, size: int = PIECE
+) -> Iterator[tuple[Any, ...]]:
+    """The events of a source, at most `size` of them at once."""
     accepts_late = decoder.late == "accept"
     for packet in source:
         # a single event of Python integers is pushed as it is, which is quick
@@ -208,14 +258,14 @@ def _pieces(source: Iterable[Any], decoder: EventDecoder) -> Iterator[tuple[Any,
             yield packet
             continue
         columns = decoder.decode(packet)
-        for first in range(0, columns.n, PIECE):
-            piece = part_of(columns, first, min(first + PIECE, columns.n))
+        for first in range(0, columns.n, size):
+            piece = part_of(columns, first, min(first + size, columns.n))
             yield piece[:4]
 
 
 def as_processor(
-    model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
-) -> Processor:
+    model: Model | TNTConfig | str | Path | Processor[Any], **settings: Unpack[Settings]
+) -> Processor[Any]:
     """A Processor from the arguments of `stream`."""
     if isinstance(model, Processor):
         if settings:

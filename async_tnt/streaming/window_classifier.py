@@ -55,7 +55,10 @@ class WindowClassifier:
     classifier : the callable from a volume to logits.
     classes : class names; if none were given, "0", "1", ... after the first answer.
     decides_in_stretches : whether `decide_stretch` can be called.
+    answers_are_views : False.
     """
+
+    answers_are_views = False
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 A layer is a mapping with `op`, `name`, `inputs` (names of earlier layers, or "volume") and the
 parameters of its op; `weights` maps roles to names of tensors. The last layer's value is the
-network's value. The table `OPERATIONS` at the end lists the ops.
+network's value, unless other outputs are named. The table `OPERATIONS` at the end lists the ops.
 """
 
 from __future__ import annotations
@@ -21,21 +21,29 @@ Weights = Mapping[str, torch.Tensor]
 
 
 class LayerNetwork(nn.Module):
-    """A module that computes the last layer's value, (N, ...), from volumes (N, C, H, W).
+    """A module that computes the values of layers, (N, ...), from volumes (N, C, H, W).
 
     Parameters
     ----------
     layers : the layers in the form that the docstring of this file describes.
     tensors : name -> weights. They become parameters of this torch module. The means and variances
         of batch norms are not trained.
+    outputs : the layers whose values, as a tuple, are the network's value. None: the last layer's
+        value alone is.
 
     Raises
     ------
     ValueError : a layer has an op that is not in the table.
     """
 
-    def __init__(self, layers: Sequence[Layer], tensors: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        layers: Sequence[Layer],
+        tensors: Mapping[str, Any],
+        outputs: Sequence[str] | None = None,
+    ) -> None:
         super().__init__()
+        self.outputs = outputs
         self.layers = list(layers)
         self.tensors: dict[str, nn.Parameter] = {}
         for layer in layers:
@@ -51,13 +59,15 @@ class LayerNetwork(nn.Module):
         # torch does not look for parameters in a dictionary: this list registers them
         self._parameters_of_layers = nn.ParameterList(self.tensors.values())
 
-    def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """The last layer's value for each `volume`, (N, C, H, W)."""
+    def forward(self, volume: torch.Tensor) -> Any:
+        """The value for each `volume`, (N, C, H, W): a tensor, or a tuple of the `outputs`."""
         values = {"volume": volume}
         for layer in self.layers:
             weights = {role: self.tensors[name] for role, name in layer.get("weights", {}).items()}
             inputs = [values[name] for name in layer["inputs"]]
             values[layer["name"]] = OPERATIONS[layer["op"]](layer, weights, *inputs)
+        if self.outputs is not None:
+            return tuple(values[name] for name in self.outputs)
         return values[self.layers[-1]["name"]]
 
 

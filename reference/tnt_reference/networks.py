@@ -257,17 +257,25 @@ class Pipeline(nn.Module):
         """The type of the networks' weights."""
         return next((w.dtype for w in self.parameters()), torch.get_default_dtype())
 
-    def forward(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """The logits (n_classes,) of the window that starts at `start_us`."""
-        return self.batch([(t, x, y, p, start_us)])[0]
+    def forward(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> Any:
+        """The logits (n_classes,) of the window that starts at `start_us`.
 
-    def batch(self, windows: Iterable[Sequence[Column]]) -> torch.Tensor:
-        """The logits (N, n_classes) of N `windows`, each `(t, x, y, p, start_us)`."""
+        If the classifier returns a tuple of tensors, so does this.
+        """
+        answer = self.batch([(t, x, y, p, start_us)])
+        if isinstance(answer, tuple):
+            return tuple(tensor[0] for tensor in answer)
+        return answer[0]
+
+    def batch(self, windows: Iterable[Sequence[Column]]) -> Any:
+        """The logits (N, n_classes) of N `windows`, each `(t, x, y, p, start_us)`.
+
+        If the classifier returns a tuple of tensors (N, ...), so does this.
+        """
         volumes = [self.volume(*window) for window in windows]  # N of (C, H, W)
         if not volumes:
             raise ValueError("`windows` must hold at least one (t, x, y, p, start_us), got none")
-        logits: torch.Tensor = self.classifier(torch.stack(volumes))
-        return logits
+        return self.classifier(torch.stack(volumes))
 
 
 def _check_representation(representation: str, bins: int, transform: str) -> None:

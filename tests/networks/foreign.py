@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from async_tnt import load_model
+from async_tnt.networks import OnnxClassifier
+
 onnx = pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `onnx`)")
 
@@ -12,6 +15,16 @@ WEIGHTS = {
     "w": np.random.default_rng(0).normal(size=(60, 3)),
     "b": np.random.default_rng(1).normal(size=3),
 }
+
+
+def load_for_numbers(path, config):
+    """The model of a file, for the classes "0", "1", ..."""
+    try:
+        (shape,) = load_model(path, config=config).output_shapes.values()
+        n_classes = shape[0]
+    except NotImplementedError:  # a softmax is left out of a network of classes only
+        n_classes = OnnxClassifier(path, shape=config.shape).n_classes
+    return load_model(path, config=config, classes=[str(k) for k in range(n_classes)])
 
 
 def network(

@@ -50,7 +50,7 @@ class _Builder:
     def shapes(self):
         """Layer -> shape, and that of the volume."""
         tensors = {name: w.shape for name, w in self.weights.items()}
-        return layer_shapes(self.layers, self.config.shape, tensors, partial=True)
+        return layer_shapes(self.layers, self.config.shape, tensors, outputs=())
 
     def tensor(self, *shape: int, low: float = -1.0, high: float = 1.0) -> str:
         """Add weights; where they may be negative, a fifth of them are zero."""

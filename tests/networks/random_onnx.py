@@ -444,6 +444,23 @@ BY_CHANNEL = "Add", "Mul", "PRelu", "BatchNormalization"
 """Operations with a number for each channel."""
 
 
+def add_inner_output(proto: onnx.ModelProto, seed: int) -> None:
+    """Let a random map inside a network be its second output, if its shape is known."""
+    try:
+        inferred = onnx.shape_inference.infer_shapes(proto)
+    except Exception:  # a wrong file raises errors of many types
+        return
+    names = [node.output[0] for node in proto.graph.node if node.op_type != "Constant"]
+    maps = [
+        value
+        for value in inferred.graph.value_info
+        if len(value.type.tensor_type.shape.dim) == 4 and value.name in names
+    ]
+    if maps:
+        place = np.random.default_rng(seed).integers(len(maps))
+        proto.graph.output.add().CopyFrom(maps[place])
+
+
 def known_gaps(proto: onnx.ModelProto) -> list[str]:
     """Why a file may be refused: from what `load_model` says it reads, and from ONNX's own rules.
 

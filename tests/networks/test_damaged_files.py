@@ -123,7 +123,8 @@ def test_anything_under_a_valid_checksum(files, data):
 
 
 DAMAGED = "holds a damaged model: "
-FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2', got "
+FORMATS = "`format` must be 'async_tnt 2' or 'async_tnt 3', got "
+FOREIGN = f"is not a model that this release can read: {FORMATS}"
 
 
 def model_file(path, **changes):
@@ -163,11 +164,11 @@ def onnx_file(path, **changes):
             {"sha256": 64 * "0"},
             DAMAGED + "its checksum differs; copy or download it again",
         ),
-        (model_file, {"format": "async_tnt 3"}, FOREIGN + "'async_tnt 3'"),
+        (model_file, {"format": "async_tnt 4"}, FOREIGN + "'async_tnt 4'"),
         (
             onnx_file,
-            {"format": "async_tnt 3"},
-            "is damaged: metadata `format` must be 'async_tnt 2', got 'async_tnt 3",
+            {"format": "async_tnt 4"},
+            f"is damaged: metadata {FORMATS}'async_tnt 4",
         ),
         (onnx_file, {"sha256": None}, "is damaged: no sha256 in its metadata"),
         (onnx_file, {"config": '{"a\\nb": 1}'}, "is damaged: unknown configuration a b"),

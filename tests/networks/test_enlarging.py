@@ -73,7 +73,7 @@ GROWING = {
 
 def as_layers(module):
     module = nn.Sequential(module, nn.Conv2d(_channels(module), 2, 1)).eval()
-    return module, *layers_from_torch(module, SHAPE)
+    return module, layers_from_torch(module, SHAPE)
 
 
 def _channels(module):
@@ -84,10 +84,10 @@ def _channels(module):
 @pytest.mark.parametrize("name", GROWING)
 def test_from_torch_they_compute_the_same(name):
     torch.manual_seed(0)
-    module, layers, weights = as_layers(GROWING[name])
-    check_torch_layers(module, layers, weights, SHAPE)
+    module, read = as_layers(GROWING[name])
+    check_torch_layers(module, read, SHAPE)
     known = {"conv", "depth_to_space", "batch_norm", "zero_pad", "edge_pad"}
-    assert {layer["op"] for layer in layers} <= known
+    assert {layer["op"] for layer in read.layers} <= known
 
 
 # of torch, whose exporter of this kind needs no other package
@@ -97,9 +97,10 @@ def test_from_onnx_they_become_layers_of_the_same_numbers(name):
     module = GROWING[name].eval()
     file = io.BytesIO()
     torch.onnx.export(module, (torch.zeros(1, *SHAPE),), file, dynamo=False, opset_version=18)
-    layers, weights = layers_from_onnx(onnx.load_from_string(file.getvalue()), SHAPE)
-    own_weights = {name: values.copy() for name, values in weights.items()}
-    check_torch_layers(module, layers, own_weights, SHAPE)
+    network = onnx.load_from_string(file.getvalue())
+    read = layers_from_onnx(network, SHAPE, has_classes=False)
+    own_weights = {name: values.copy() for name, values in read.weights.items()}
+    check_torch_layers(module, read._replace(weights=own_weights), SHAPE)
 
 
 @settings(max_examples=60, deadline=None)
@@ -151,8 +152,8 @@ def test_transposed_convolutions_of_all_sizes_are_exact_or_refused(data):
 
 def test_focus_takes_every_second_row_and_column():
     module = nn.Sequential(Focus(), nn.Conv2d(16, 2, 1)).eval()
-    layers, weights = layers_from_torch(module, (4, 6, 8))
-    check_torch_layers(module, layers, weights, (4, 6, 8))
+    read = layers_from_torch(module, (4, 6, 8))
+    check_torch_layers(module, read, (4, 6, 8))
 
 
 class Indexed(nn.Module):

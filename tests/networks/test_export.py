@@ -47,15 +47,19 @@ def test_the_bytes_of_an_onnx_file_are_counted_exactly(monkeypatch):
 )
 def test_one_volume_that_differs_is_one_too_many(wrong):
     calls = []
-    network = CompiledClassifier(random_model(classes=3))
+    classifier = CompiledClassifier(random_model(classes=3))
+
+    def network(volume):
+        return [classifier(volume)]
 
     def sometimes_wrong(volume):
         calls.append(1)
-        return wrong(network(volume)) if len(calls) == 7 else network(volume)
+        logits = classifier(volume)
+        return [wrong(logits) if len(calls) == 7 else logits]
 
-    compare(network, network, network.shape)
+    compare(network, network, classifier.shape)
     with pytest.raises(ValueError, match=r"^its layers compute other numbers \(by "):
-        compare(sometimes_wrong, network, network.shape)
+        compare(sometimes_wrong, network, classifier.shape)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +70,7 @@ def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large,
     """The network gives 100 for a volume of large numbers, and 1 for others."""
 
     def network(volume, large=0.0, small=0.0):
-        return np.array([100 + large if np.abs(volume).max() > 50 else 1 + small])
+        return [np.array([100 + large if np.abs(volume).max() > 50 else 1 + small])]
 
     expected = nullcontext()
     if not is_same:
@@ -92,7 +96,7 @@ def test_numbers_that_make_no_difference_to_a_softmax_may_differ_more(numbers, d
 
     def network(volume, difference=0.0):
         is_large = np.abs(volume).max() > 50
-        return np.array([numbers[0] if is_large else numbers[1] + difference])
+        return [np.array([numbers[0] if is_large else numbers[1] + difference])]
 
     expected = nullcontext()
     if not is_same:
@@ -114,10 +118,10 @@ def test_numbers_that_make_no_difference_to_a_softmax_may_differ_more(numbers, d
 )
 def test_a_difference_that_one_kind_of_volume_shows_is_found(shows):
     def network(volume):
-        return np.ones(3)
+        return [np.ones(2), np.ones(3)]
 
     def other(volume):
-        return np.full(3, 2.0 if shows(volume) else 1.0)
+        return [np.ones(2), np.full(3, 2.0 if shows(volume) else 1.0)]
 
     with pytest.raises(ValueError, match="its layers compute other numbers"):
         compare(network, other, (2, 6, 5))

@@ -18,8 +18,8 @@ from async_tnt.networks.torch.from_torch import layers_from_torch
 from async_tnt.networks.torch.operations import HeatmapCentroid
 
 WAY_OUT = (
-    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
-    "whole at every decision"
+    "; a network of logits runs whole at every decision: TorchClassifier(module), or exported to "
+    "ONNX, OnnxClassifier(path)"
 )
 
 RARE = 1e6

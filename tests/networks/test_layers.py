@@ -278,7 +278,7 @@ def test_networks_that_do_not_fit_the_model():
             SMALL,
             {"classifier": flat},
             ValueError,
-            "layer 'flatten 1' is the output, and a flattened map: a dense lay",
+            "layer 'flatten 1' is an output, and a flattened map: a dense lay",
         ),
         (
             SMALL,

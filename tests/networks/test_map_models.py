@@ -568,12 +568,13 @@ def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
             assert a == pytest.approx(b, abs=1e-3)
 
 
-def test_a_map_of_another_program_has_numbers_as_classes(tmp_path):
+def test_a_map_of_another_program_is_a_map_model_or_a_raw_output(tmp_path):
     proto = to_onnx(map_model())
     del proto.metadata_props[:]
     path = tmp_path / "map.onnx"
     path.write_bytes(proto.SerializeToString())
-    assert load_model(path, config=CONFIG).classes == ("0", "1", "2")
+    assert load_model(path, config=CONFIG, classes=["0", "1", "2"]).places == map_model().places
+    assert load_model(path, config=CONFIG).output_shapes == {"logits": map_model().logits_shape}
     with pytest.raises(ValueError, match=f"^{path}: the network must compute 2 logits"):
         load_model(path, config=CONFIG, classes=["0", "1"])
 

@@ -186,17 +186,17 @@ def test_the_shape_of_an_operation_is_that_of_the_reference_and_of_its_steps(op)
     last = next(k for k, one in enumerate(layers) if one["name"] == "tested")
     layers = layers[: last + 1]
     tensors = {name: w.shape for name, w in weights.items()}
-    shape = layer_shapes(layers, SHAPE, tensors, partial=True)["tested"]
+    shape = layer_shapes(layers, SHAPE, tensors, outputs=())["tested"]
     with torch.no_grad():
         value = tnt_reference.layers.LayerNetwork(layers, weights)(torch.zeros(1, *SHAPE))
     assert shape == tuple(value.shape[1:])
     if op != "flatten":  # whose numbers stay where they are
-        _, output = steps_of(layers, Map(*SHAPE), weights)
+        _, (output,) = steps_of(layers, Map(*SHAPE), weights)
         assert shape in ((output.channels, *output.sides), (output.channels,))
 
 
 def test_the_landmark_operation_is_read_from_torch():
-    layers, _ = layers_from_torch(
+    layers, *_ = layers_from_torch(
         torch.nn.Sequential(torch.nn.Tanh(), torch_operations.HeatmapCentroid()), (1, 6, 5)
     )
     assert [one["op"] for one in layers] == ["tanh", LANDMARK_ONLY]

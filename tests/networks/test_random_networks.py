@@ -8,13 +8,24 @@ ASYNC_TNT_FUZZ_CASES makes it a long run: it was 20,000 modules and 5,000 files 
 import copy
 import os
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import tnt_reference
 import torch
 from networks import random_modules
 
-from async_tnt import CompiledClassifier, Model, TNTConfig, TNTVolume, load_model, open_recording
+from async_tnt import (
+    CompiledClassifier,
+    CompiledNetwork,
+    Model,
+    TNTConfig,
+    TNTVolume,
+    load_model,
+    open_recording,
+)
+from async_tnt.networks.layers.graph import layer_shapes
 from async_tnt.networks.onnx.operations import RULES
 from async_tnt.sources import sample_recordings
 
@@ -42,6 +53,41 @@ def compiled_logits(model: Model, volumes: list[np.ndarray]) -> np.ndarray:
     """The logits of one network, which must keep nothing of the volumes before."""
     network = CompiledClassifier(model)
     return np.stack([network(volume) for volume in volumes]).astype(np.float64)
+
+
+def compiled_outputs(model: Model, volumes: list[np.ndarray]) -> list[np.ndarray]:
+    """The raw outputs of one network, a row for each volume, for each output."""
+    network = CompiledNetwork(model)
+    answers = [[array.reshape(-1) for array in network(volume)] for volume in volumes]
+    return [np.stack(rows).astype(np.float64) for rows in zip(*answers, strict=True)]
+
+
+def with_inner_outputs(model: Model, seed: int) -> Model:
+    """A model of raw outputs, whose outputs are also those of two random layers."""
+    rng = np.random.default_rng(seed)
+    names = [layer["name"] for layer in model.network["classifier"]]
+    outputs = dict(model.outputs)
+    for k, name in enumerate(rng.choice(names, 2)):
+        try:
+            tensors = {name: w.shape for name, w in model.weights.items()}
+            layer_shapes(model.network["classifier"], model.config.shape, tensors, [name])
+        except ValueError as error:
+            assert "a flattened map" in str(error)
+            continue
+        outputs[f"inner {k}"] = str(name)
+    return replace(model, outputs=outputs)
+
+
+def torch_outputs(model: Model, volumes: list[np.ndarray], dtype: torch.dtype) -> list[np.ndarray]:
+    """What the reference computes, as `compiled_outputs` gives it."""
+    module = tnt_reference.LayerNetwork(
+        model.network["classifier"], model.weights, list(model.outputs.values())
+    )
+    module = module.to(dtype).eval()
+    with torch.no_grad():
+        answers = [module(torch.tensor(v, dtype=dtype)[None]) for v in volumes]
+    rows_of_outputs = zip(*answers, strict=True)
+    return [np.stack([row.numpy().reshape(-1) for row in rows]) for rows in rows_of_outputs]
 
 
 def torch_logits(
@@ -80,7 +126,19 @@ def test_a_module_that_is_accepted_is_right():
         rounded = torch_logits(before, volumes, torch.float32)
         bound = max(1e-4 * np.abs(expected).max(), 4 * np.abs(rounded - expected).max())
         assert np.abs(compiled_logits(model, volumes) - expected).max() <= bound, seed
+        check_raw_outputs(before, volumes, seed)
     assert accepted > CASES // 3
+
+
+def check_raw_outputs(module: torch.nn.Module, volumes: list[np.ndarray], seed: int) -> None:
+    """The raw outputs are those of the reference, also inside the network."""
+    model = with_inner_outputs(Model.from_torch(module, OF_MODULES), seed)
+    wanted = torch_outputs(model, volumes, torch.float64)
+    rounded = torch_outputs(model, volumes, torch.float32)
+    found = compiled_outputs(model, volumes)
+    for name, one, expected, in_float32 in zip(model.outputs, found, wanted, rounded, strict=True):
+        bound = max(1e-4 * np.abs(expected).max(), 4 * np.abs(in_float32 - expected).max())
+        assert np.abs(one - expected).max() <= bound, (seed, name)
 
 
 def largest_answer(onnxruntime, path, options) -> float | None:
@@ -90,7 +148,7 @@ def largest_answer(onnxruntime, path, options) -> float | None:
     """
     try:
         session = onnxruntime.InferenceSession(path, options)
-        (answer,) = session.run(None, {"x": np.ones((1, *OF_FILES.shape), np.float32)})
+        answer, *_ = session.run(None, {"x": np.ones((1, *OF_FILES.shape), np.float32)})
     except Exception:  # a wrong file raises errors of many types
         return None
     return float(np.abs(answer).max())
@@ -110,6 +168,7 @@ def test_a_file_that_is_accepted_is_right(tmp_path):
 
     assert OF_FILES.shape == random_onnx.SHAPE
     accepted = 0
+    several = 0
     path = tmp_path / "net.onnx"
     operations = set()
     options = onnxruntime.SessionOptions()
@@ -117,9 +176,12 @@ def test_a_file_that_is_accepted_is_right(tmp_path):
     options.intra_op_num_threads = 1
     for seed in range(CASES):
         proto = random_onnx.random_onnx(seed)
+        has_softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
+        if not has_softmax and seed % 2:
+            random_onnx.add_inner_output(proto, seed)
         path.write_bytes(proto.SerializeToString())
         try:
-            model = load_model(path, config=OF_FILES)
+            model = load_for_numbers(path) if has_softmax else load_model(path, config=OF_FILES)
         except (NotImplementedError, ValueError) as error:
             largest = largest_answer(onnxruntime, path, options)
             is_small = largest is not None and 0 < largest < 0.1
@@ -129,14 +191,25 @@ def test_a_file_that_is_accepted_is_right(tmp_path):
         accepted += 1
         volumes = volumes_of(OF_FILES, seed)
         session = onnxruntime.InferenceSession(path, options)
-        answers = [session.run(None, {"x": volume[None]})[0] for volume in volumes]
-        expected = np.stack([answer.reshape(-1) for answer in answers])
-        found = compiled_logits(model, volumes)
-        found_in = {node.op_type for node in proto.graph.node}
-        if "Softmax" in found_in:
-            odds = np.exp(found - found.max(axis=1, keepdims=True))
-            found = odds / odds.sum(axis=1, keepdims=True)
-        assert found.shape == expected.shape
-        assert np.abs(found - expected).max() <= 1e-4 * np.abs(expected).max(), seed
-        operations |= found_in
-    assert accepted > 0.4 * CASES and operations == set(RULES)
+        answers = [session.run(None, {"x": volume[None]}) for volume in volumes]
+        rows_of_outputs = list(zip(*answers, strict=True))
+        if has_softmax:
+            logits = compiled_logits(model, volumes)
+            odds = np.exp(logits - logits.max(axis=1, keepdims=True))
+            found = [odds / odds.sum(axis=1, keepdims=True)]
+        else:
+            found = compiled_outputs(model, volumes)
+        for one, rows in zip(found, rows_of_outputs, strict=True):
+            expected = np.stack([row.reshape(-1) for row in rows])
+            assert one.shape == expected.shape
+            assert np.abs(one - expected).max() <= 1e-4 * np.abs(expected).max(), seed
+        operations |= {node.op_type for node in proto.graph.node}
+        several += len(found) > 1
+    assert accepted > 0.4 * CASES and operations == set(RULES) and several > 0.1 * CASES
+
+
+def load_for_numbers(path) -> Model:
+    """The model of a file, for the classes "0", "1", ..."""
+    from networks.foreign import load_for_numbers
+
+    return load_for_numbers(path, OF_FILES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from async_tnt.base.messages import one_line
 TOLERANCE = 1e-4
 """The largest difference that is accepted, as a share of a volume's largest number."""
 
-Function = Callable[[np.ndarray], np.ndarray]
-"""Volume (C, H, W) -> numbers."""
+Function = Callable[[np.ndarray], Sequence[np.ndarray]]
+"""Volume (C, H, W) -> the numbers of each output."""
 
 
 def expect_form(condition: bool, what: str) -> None:
@@ -29,16 +29,28 @@ def compare(
     Parameters
     ----------
     shape : shape of a volume, (C, H, W).
-    tolerance : how much numbers may differ, as a share of the largest number for the same volume. A
-        volume's largest number counts as at least 0.01, and as at least 1 % of the largest number
-        for any volume, because smaller logits make no difference to a softmax.
+    tolerance : how much numbers may differ, as a share of the largest number of the same output for
+        the same volume. A volume's largest number counts as at least 0.01, and as at least 1 % of
+        the largest number for any volume, because smaller logits make no difference to a softmax.
 
     Raises
     ------
     ValueError : the numbers of the network and of the layers differ by more than `tolerance`; or
         the network fails on a volume.
     """
-    pairs = [_numbers_of_both(original, layers, volume) for volume in volumes_to_compare(shape)]
+    volumes = list(volumes_to_compare(shape))
+    pairs_of_volumes = [_numbers_of_both(original, layers, volume) for volume in volumes]
+    for pairs in zip(*pairs_of_volumes, strict=True):
+        _compare_output(pairs, tolerance)
+
+
+def _compare_output(pairs: Sequence[tuple[np.ndarray, np.ndarray]], tolerance: float) -> None:
+    """Compare the numbers of one output, see `compare`.
+
+    Parameters
+    ----------
+    pairs : for each volume, the numbers of the network and those of its layers.
+    """
     largest = [_largest_finite(expected) for expected, _ in pairs]
     for (expected, computed), own_largest in zip(pairs, largest, strict=True):
         bound = tolerance * max(own_largest, max(largest) / 100, 0.01)
@@ -52,18 +64,22 @@ def compare(
 
 def _numbers_of_both(
     original: Function, layers: Function, volume: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers of the network, and those of its layers, as vectors of one length."""
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each output the numbers of the network, and those of its layers, of one length."""
     try:
         expected = original(volume.copy())  # a copy, as the network may change it in place
     except Exception as error:  # a network may raise errors of any type
         raise ValueError(
             f"it fails on a volume of shape {volume.shape}: {one_line(error)}"
         ) from None
-    computed = layers(volume).reshape(-1)
-    if expected.size != computed.size:
-        raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {computed.size}")
-    return expected.reshape(-1), computed
+    pairs = []
+    for numbers, layer_numbers in zip(expected, layers(volume), strict=True):
+        if numbers.size != layer_numbers.size:
+            raise ValueError(
+                f"it gives numbers of shape {numbers.shape}, its layers {layer_numbers.size}"
+            )
+        pairs.append((numbers.reshape(-1), layer_numbers.reshape(-1)))
+    return pairs
 
 
 def _largest_finite(numbers: np.ndarray) -> float:

@@ -5,8 +5,9 @@
 The regressor is present if the configuration needs one. A layer is an object with `op`, `name`,
 `inputs`, the parameters of its operation, and `weights` if the operation has some. Inputs are names
 of earlier layers, or "volume", the network's input (C, H, W). The last layer is the network's
-output. `weights` maps each role to the name of a tensor in the file; a role that the operation does
-not need may be missing. Sides are [y, x], paddings [top, left, bottom, right].
+output, unless the model names other outputs. `weights` maps each role to the name of a tensor in
+the file; a role that the operation does not need may be missing. Sides are [y, x], paddings [top,
+left, bottom, right].
 
 The operations, with their parameters and roles, are those of the table `OPERATIONS` in
 `networks/layers/operations.py`; `python -m pydoc async_tnt.networks.layers.operations` lists them.
@@ -18,6 +19,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from async_tnt.base.messages import short
 from async_tnt.networks.layers.layer import MAX_SIDE, Layer, Shape
@@ -61,7 +65,10 @@ Network = Mapping[str, Sequence[Layer]]
 
 
 def layer_shapes(
-    layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape], *, partial: bool = False
+    layers: Sequence[Layer],
+    volume: Shape,
+    tensors: Mapping[str, Shape],
+    outputs: Sequence[str] | None = None,
 ) -> dict[str, Shape]:
     """Name of a layer -> the shape of its output; also VOLUME -> the shape of the volume.
 
@@ -70,14 +77,15 @@ def layer_shapes(
     layers : the layers of one network.
     volume : (C, H, W).
     tensors : name -> the shape of weights.
-    partial : whether more layers will follow, so that the last one is not the output.
+    outputs : the layers that compute the network's outputs, by default the last one. It is empty
+        while more layers will follow.
 
     Raises
     ------
     NotImplementedError : this release cannot run a layer. The message names the first such layer.
     ValueError : a layer does not fit. The message names the first such layer and what was expected.
     """
-    if not layers and not partial:
+    if not layers and outputs is None:
         raise ValueError("a network must have at least one layer")
     checked = _CheckedLayers(volume, tensors)
     for place, layer in enumerate(layers):
@@ -86,12 +94,58 @@ def layer_shapes(
             checked.add(name, layer)
         except ValueError as error:
             raise ValueError(f"layer {name!r} ({layer['op']}): {error}") from None
-    # after the loop, `name` is the name of the last layer, which is the output
-    if not partial and name in checked.flat_maps:
-        raise ValueError(
-            f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it"
-        )
+    if outputs is None:
+        outputs = (layers[-1]["name"],)
+    for output in outputs:
+        if output not in checked.shapes:
+            raise ValueError(f"no layer is named {output!r}, which is an output")
+        if output in checked.flat_maps:
+            raise ValueError(
+                f"layer {output!r} is an output, and a flattened map: a dense layer belongs behind "
+                "it"
+            )
     return checked.shapes
+
+
+class ReadNetwork(NamedTuple):
+    """The layers that were read from a network of another program."""
+
+    layers: list[dict[str, Any]]
+    """The layers that its outputs need, in the order in which they are computed."""
+    weights: dict[str, np.ndarray]
+    """Name -> weights of these layers."""
+    outputs: dict[str, str]
+    """Name of an output -> the layer that computes it."""
+
+
+def needed_layers(
+    layers: Sequence[dict[str, Any]],
+    weights: Mapping[str, np.ndarray],
+    outputs: Mapping[str, str],
+) -> ReadNetwork:
+    """The layers that are needed for some outputs, and their weights.
+
+    If there is one output, the last of these layers computes it.
+
+    Parameters
+    ----------
+    outputs : name of an output -> the layer that computes it.
+
+    Raises
+    ------
+    NotImplementedError : the volume itself is an output.
+    """
+    needed = set(outputs.values())
+    if VOLUME in needed:
+        raise NotImplementedError("the volume itself has no compiled form")
+    kept: list[dict[str, Any]] = []
+    for layer in reversed(layers):
+        if layer["name"] in needed:
+            needed.update(layer["inputs"])
+            kept.insert(0, layer)
+    used = tensors_of(kept)
+    used_weights = {name: w for name, w in weights.items() if name in used}
+    return ReadNetwork(kept, used_weights, dict(outputs))
 
 
 def tensors_of(layers: Sequence[Layer]) -> set[str]:

@@ -19,42 +19,56 @@ from async_tnt.networks.layers.steps import Map, Step, StepList
 
 
 def steps_of(
-    layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
-) -> tuple[list[Step], Map]:
-    """The steps of a network in order, and the map of the network's output.
+    layers: Sequence[Layer],
+    volume: Map,
+    tensors: Mapping[str, np.ndarray],
+    outputs: Sequence[str] | None = None,
+) -> tuple[list[Step], list[Map]]:
+    """The steps of a network in order, and the maps of its outputs.
 
     The layers must have been checked. Steps whose results nothing reads are left out. Each map has
-    the frame that its readers need. If the last layer is a `heatmap_centroid`, the output is its
-    heatmap: the centroid itself is no step.
+    the frame that its readers need. If an output is a `heatmap_centroid`, its map is the heatmap:
+    the centroid itself is no step.
+
+    Parameters
+    ----------
+    outputs : the layers that compute the outputs, by default the last one.
     """
-    steps, output = _steps_of_all_layers(layers, volume, tensors)
-    steps = _without_unused(steps, (volume, output))
+    if outputs is None:
+        outputs = (layers[-1]["name"],)
+    steps, output_maps = _steps_of_all_layers(layers, volume, tensors, outputs)
+    steps = _without_unused(steps, (volume, *output_maps))
     _give_frames(steps)
-    return steps, output
+    return steps, output_maps
 
 
 def _steps_of_all_layers(
-    layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
-) -> tuple[list[Step], Map]:
-    """The steps of all layers, and the map of the last layer's output."""
+    layers: Sequence[Layer],
+    volume: Map,
+    tensors: Mapping[str, np.ndarray],
+    outputs: Sequence[str],
+) -> tuple[list[Step], list[Map]]:
+    """The steps of all layers, and the maps of the outputs."""
     tensor_shapes = {name: w.shape for name, w in tensors.items()}
-    shapes = layer_shapes(layers, (volume.channels, *volume.sides), tensor_shapes)
-    step_list = StepList(shapes, _count_readers(layers), tensors)
+    shapes = layer_shapes(layers, (volume.channels, *volume.sides), tensor_shapes, outputs)
+    step_list = StepList(shapes, _count_readers(layers, outputs), tensors)
     maps = {VOLUME: volume}
     for layer in layers:
         step_list.name = layer["name"]
         inputs = [maps[name] for name in layer["inputs"]]
         maps[layer["name"]] = OPERATIONS[layer["op"]].steps(step_list, layer, inputs)
-    output = maps[layers[-1]["name"]]
-    if output is volume:
-        output = step_list.copy(volume, volume.like())
-    return step_list.steps, output
+    output_maps = []
+    for name in outputs:
+        step_list.name = name
+        is_copied = maps[name] is volume
+        output_maps.append(step_list.copy(volume, volume.like()) if is_copied else maps[name])
+    return step_list.steps, output_maps
 
 
-def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
+def _count_readers(layers: Sequence[Layer], outputs: Sequence[str]) -> Counter[str]:
     """Layer -> how many layers read its output, directly or through a flatten.
 
-    The caller counts as a reader of the network's output.
+    The caller counts as a reader of the network's outputs.
     """
     origins: dict[str, str] = {}  # flatten -> the layer whose numbers it has
     readers: Counter[str] = Counter()
@@ -64,8 +78,7 @@ def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
             origins[layer["name"]] = sources[0]
         else:
             readers.update(sources)
-    output: str = layers[-1]["name"]
-    readers[origins.get(output, output)] += 1
+    readers.update(origins.get(name, name) for name in outputs)
     for name, origin in origins.items():
         readers[name] = readers[origin]
     return readers

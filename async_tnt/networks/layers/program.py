@@ -17,7 +17,7 @@ from async_tnt.kernels.network.forward import forward
 from async_tnt.kernels.network.sync_input import set_input
 from async_tnt.kernels.target import LANES
 from async_tnt.networks.layers import graph
-from async_tnt.networks.layers.layer import Layer
+from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.networks.layers.lowering import steps_of
 from async_tnt.networks.layers.packing import (
     aligned,
@@ -37,6 +37,15 @@ class ProgramArrays(NamedTuple):
     places: np.ndarray
 
 
+class ProgramOutput(NamedTuple):
+    """Where an output of a network lies."""
+
+    layout: tuple[int, int, int, int]
+    """Where in `maps` it begins, and the strides of its rows, columns and channels, in numbers."""
+    changes: tuple[int, ...]
+    """Where in the program the records of its changes begin."""
+
+
 @dataclass(frozen=True)
 class Program:
     """A network for the compiled interpreter.
@@ -47,16 +56,13 @@ class Program:
     ----------
     arrays : what the kernels read and write.
     steps : for each step, in order, the name of the layer that it computes or belongs to.
-    output_layout : where in `maps` the output begins, and the strides of its rows, columns and
-        channels, in numbers.
-    output_changes : where in the program the records of the output's changes begin.
+    outputs : where the outputs lie.
     lanes : how many filters lie side by side in `arrays.weights`.
     """
 
     arrays: ProgramArrays
     steps: list[str]
-    output_layout: tuple[int, int, int, int]
-    output_changes: list[int]
+    outputs: tuple[ProgramOutput, ...]
     lanes: int = LANES
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -87,12 +93,32 @@ class Program:
 
         Returns
         -------
-        A view of `maps` that begins with the output's first number. It may be longer than the
-        output.
+        A view of `maps` that begins with the first output's first number. It may be longer than
+        the output.
         """
         set_input.call(volume, self.arrays.program, self.arrays.maps)
         forward.call(*self.arrays)
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
+
+    def view(self, output: int, shape: Shape) -> np.ndarray:
+        """An output, (C, H, W) or (N,), as a view of `maps`. The next call of a kernel changes it.
+
+        Parameters
+        ----------
+        output : its number, from 0 on.
+        """
+        first, row, column, channel = self.outputs[output].layout
+        strides = (channel, row, column)[: len(shape)]
+        n_bytes = np.dtype(np.float32).itemsize
+        view = np.ndarray(
+            shape,
+            np.float32,
+            self.arrays.maps,
+            n_bytes * first,
+            tuple(n_bytes * stride for stride in strides),
+        )
+        view.flags.writeable = False
+        return view
 
 
 def make_program(
@@ -100,6 +126,7 @@ def make_program(
     shape: tuple[int, int, int],
     tensors: Mapping[str, np.ndarray],
     shared: dict[str, np.ndarray] | None = None,
+    outputs: Sequence[str] | None = None,
 ) -> Program:
     """The program of a network whose layers have been checked.
 
@@ -109,14 +136,15 @@ def make_program(
     tensors : name -> weights.
     shared : a dictionary through which programs of the same layers and shape share their packed
         weights. The first program stores its packed weights there.
+    outputs : the layers that compute the outputs, by default the last one.
     """
     channels, height, width = shape
     volume = Map(channels, height, width)
-    steps, output = steps_of(layers, volume, tensors)
+    steps, output_maps = steps_of(layers, volume, tensors, outputs)
     layout = _lay_out(steps, volume)
 
     writer = _ProgramWriter(steps, layout)
-    writer.write_header(output)
+    writer.write_header(output_maps[0])
     for step in steps:
         writer.write_step(step)
     writer.write_list()
@@ -127,12 +155,12 @@ def make_program(
         layout.empty_maps(),
         np.zeros(writer.places.size, np.uint32),
     )
-    return Program(
-        arrays,
-        steps=[step.name for step in steps],
-        output_layout=(layout.firsts[output], output.pitch, output.channels, 1),
-        output_changes=[writer.records[step] + P.CHANGED for step in output.writers],
-    )
+    program_outputs = []
+    for output in output_maps:
+        place = (layout.firsts[output], output.pitch, output.channels, 1)
+        changes = tuple(writer.records[step] + P.CHANGED for step in output.writers)
+        program_outputs.append(ProgramOutput(place, changes))
+    return Program(arrays, steps=[step.name for step in steps], outputs=tuple(program_outputs))
 
 
 # -- where maps lie --------------------------------------------------------------------------------

@@ -29,11 +29,14 @@ _packed_weights: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = We
 """Model -> name of a network -> its packed weights, which all programs of the model share."""
 
 
-def _program_of(model: Model, network: str) -> Program:
+def program_of(model: Model, network: str) -> Program:
     """A new program of a model's classifier or regressor, with feature maps of its own."""
     networks = _packed_weights.setdefault(model, {})
     shared = networks.setdefault(network, {})
-    return make_program(model.network[network], model.config.shape, model.weights, shared)
+    outputs = None
+    if network == CLASSIFIER and model.outputs:
+        outputs = list(model.outputs.values())
+    return make_program(model.network[network], model.config.shape, model.weights, shared, outputs)
 
 
 class CompiledClassifier:
@@ -46,7 +49,7 @@ class CompiledClassifier:
 
     Parameters
     ----------
-    model : a Model.
+    model : a Model with `classes`.
 
     Attributes
     ----------
@@ -59,7 +62,7 @@ class CompiledClassifier:
 
     Raises
     ------
-    ValueError : in a call, the volume's shape is not the model's.
+    ValueError : the model has raw outputs; or, in a call, the volume's shape is not the model's.
     RuntimeError : in a call, another call is running.
 
     Examples
@@ -74,21 +77,22 @@ class CompiledClassifier:
     """
 
     def __init__(self, model: Model) -> None:
+        if model.outputs:
+            rule = "must have classes; CompiledNetwork(model) is for models of raw outputs"
+            raise ParameterValueError("model", rule)
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
         self.places = model.places
         self.sensor = model.config.sensor
         self._running = Running("CompiledClassifier")
-        self._program = _program_of(model, CLASSIFIER)
+        self._program = program_of(model, CLASSIFIER)
         self.network = self._program.arrays
         self.steps = self._program.steps
         self._input = VolumeInput(self.shape)
         self.logits_shape = model.logits_shape
         self.reader: ObjectReader | None = None
         if self.places is not None:
-            self.reader = ObjectReader(
-                self.logits_shape, self._program.output_layout, self._program.output_changes
-            )
+            self.reader = ObjectReader(self.logits_shape, *self._program.outputs[0])
         self._prepare()
 
     def _prepare(self) -> None:
@@ -146,14 +150,7 @@ class CompiledClassifier:
     @cached_property  # made once: making a view takes as long as running a small network
     def map(self) -> np.ndarray:
         """A map model's last map, (n_classes + 1, R, C), read-only; the next call changes it."""
-        n_bytes = np.dtype(np.float32).itemsize
-        first, row, column, channel = self._program.output_layout
-        strides = (n_bytes * channel, n_bytes * row, n_bytes * column)
-        view = np.ndarray(
-            self.logits_shape, np.float32, self.network.maps, n_bytes * first, strides
-        )
-        view.flags.writeable = False
-        return view
+        return self._program.view(0, self.logits_shape)
 
     def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
         """The class, logits and probabilities of a volume's open window.
@@ -249,7 +246,7 @@ class CompiledRegressor:
             )
         self.shape = config.shape
         self._running = Running("CompiledRegressor")
-        self._program = _program_of(model, REGRESSOR)
+        self._program = program_of(model, REGRESSOR)
         self._input = VolumeInput(self.shape)
         self._prepare()
 

@@ -1,4 +1,4 @@
-"""Model: a configuration, a network's weights and its class names, in one .safetensors file."""
+"""Model: a configuration, a network and what its outputs are, in one .safetensors file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ import numpy as np
 from async_tnt.base.checks import ParameterTypeError, ParameterValueError, plain_array
 from async_tnt.base.files import replacing, user_path
 from async_tnt.base.messages import short
-from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
+from async_tnt.networks.layers.graph import (
+    CLASSIFIER,
+    REGRESSOR,
+    Network,
+    ReadNetwork,
+    layer_shapes,
+    tensors_of,
+)
 from async_tnt.networks.layers.layer import Shape
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
@@ -29,25 +36,37 @@ FORMAT = "async_tnt 2"
 
 Its number grows with each change after which older releases cannot read new files."""
 
+FORMAT_OF_OUTPUTS = "async_tnt 3"
+"""The `format` in the file of a model of raw outputs, which older releases cannot read."""
+
+FORMATS = (FORMAT, FORMAT_OF_OUTPUTS)
+"""The formats that this release reads."""
+
 CENTROID = "heatmap_centroid"
 """The operation of a landmark network's last layer."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
-    """A trained classifier: how events become a volume, and the network that reads it.
+    """A network and how events become the volume that it reads.
+
+    A model has either `classes`, which it decides about, or `outputs`: a model of raw outputs
+    computes tensors of any meaning, such as the flow at each pixel.
 
     Parameters
     ----------
     config : TNTConfig.
     weights : float32 arrays, by the names that the network's layers give them.
-    classes : names, in the order of the network's outputs. A map model finds objects of these
+    classes : names, in the order of the network's logits. A map model finds objects of these
         classes: its network computes a map (n_classes + 1, R, C) of more than one place, whose last
         channel means "no object here".
     record : how the model was trained: data, seed, accuracy, what was tried.
-    network : the layers, see `networks.layers.graph`. "classifier" computes logits from a volume
-        (C, H, W). "regressor" computes the landmark from the raw volume. It is present if and only
-        if the configuration has the landmark "regressor" and the transform "tnt".
+    network : the layers, see `networks.layers.graph`. "classifier" computes logits, or raw outputs,
+        from a volume (C, H, W). "regressor" computes the landmark from the raw volume. It is
+        present if and only if the configuration has the landmark "regressor" and the transform
+        "tnt".
+    outputs : name of an output -> the layer of "classifier" that computes it. Only for a model
+        without classes.
 
     Raises
     ------
@@ -59,9 +78,10 @@ class Model:
 
     config: TNTConfig
     weights: Mapping[str, np.ndarray]
-    classes: tuple[str, ...]
+    classes: tuple[str, ...] = ()
     record: Mapping[str, Any] = field(default_factory=dict)
     network: Network = field(kw_only=True)
+    outputs: Mapping[str, str] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         is_ordered = isinstance(self.classes, Iterable) and not isinstance(
@@ -75,19 +95,21 @@ class Model:
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
         weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
-        if not self.classes:
-            raise ParameterValueError("classes", "must hold at least one name")
+        _check_outputs(self.outputs, self.classes)
+        object.__setattr__(self, "outputs", dict(self.outputs))
         if len(set(self.classes)) < len(self.classes):
             rule = "must have different names"
             raise ParameterValueError("classes", rule, short(self.classes))
-        _check_network(self.network, weights, self.config, len(self.classes))
+        shapes = _checked_shapes(self.network, weights, self.config, self.outputs)
+        if not self.outputs:
+            _check_logits(list(shapes.values())[-1], len(self.classes), self.config)
 
     @classmethod
     def from_torch(
         cls,
         module: nn.Module,
         config: TNTConfig,
-        classes: Sequence[str],
+        classes: Sequence[str] | None = None,
         *,
         record: Mapping[str, Any] | None = None,
         regressor: nn.Module | None = None,
@@ -96,9 +118,13 @@ class Model:
 
         Parameters
         ----------
-        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. It is read
-            as in eval mode, with the weights that it has now.
-        config, classes, record : see Model.
+        module : volumes (N, C, H, W) -> logits (N, n_classes), or without `classes` one or several
+            tensors (N, ...), see `layers_from_torch`. It is read as in eval mode, with the weights
+            that it has now.
+        config, record : see Model.
+        classes : see Model; None for a model of raw outputs. The names of these are "output", or
+            for several the keys, fields and numbers of what the module returns, see
+            `networks.torch.outputs`.
         regressor : the landmark network, raw volumes -> landmarks. It must be given if and only if
             the configuration needs one.
 
@@ -126,6 +152,7 @@ class Model:
         """
         from async_tnt.networks.torch.from_torch import (
             WAY_OUT,
+            WAY_OUT_OF_LOGITS,
             check_torch_layers,
             layers_from_torch,
         )
@@ -133,7 +160,7 @@ class Model:
         parts = {CLASSIFIER: module}
         if regressor is not None:
             parts[REGRESSOR] = regressor
-        network: dict[str, Any] = {}
+        networks: dict[str, ReadNetwork] = {}
         weights: dict[str, np.ndarray] = {}
         try:
             for name, part in parts.items():
@@ -141,19 +168,25 @@ class Model:
                 # the classifier may have weights whose names begin with this prefix
                 while prefix and any(tensor.startswith(prefix) for tensor in weights):
                     prefix = f"_{prefix}"
-                network[name], tensors = layers_from_torch(part, config.shape, prefix)
-                weights |= tensors
+                networks[name] = layers_from_torch(part, config.shape, prefix)
+                weights |= networks[name].weights
+            outputs = networks[CLASSIFIER].outputs
+            if classes is not None:
+                refuse_several_outputs(outputs)
+                outputs = {}
             model = cls(
                 config,
                 weights,
-                classes,  # type: ignore[arg-type]  # `cls` checks it, and makes it a tuple
+                () if classes is None else classes,  # type: ignore[arg-type]  # `cls` checks it
                 record or {},
-                network=network,
+                network={name: read.layers for name, read in networks.items()},
+                outputs=outputs,
             )
             for name, part in parts.items():
-                check_torch_layers(part, network[name], weights, config.shape)
+                check_torch_layers(part, networks[name], config.shape)
         except NotImplementedError as error:
-            raise NotImplementedError(f"{error}{WAY_OUT}") from None
+            way_out = WAY_OUT if classes is None else WAY_OUT_OF_LOGITS
+            raise NotImplementedError(f"{error}{way_out}") from None
         return model
 
     @property
@@ -161,13 +194,25 @@ class Model:
         """The shape of the classifier's output.
 
         It is (n_classes,) or (n_classes, 1, 1), and (n_classes + 1, R, C) for a map model.
+
+        Raises
+        ------
+        ValueError : the model has raw outputs, so it has no logits.
         """
+        if self.outputs:
+            raise ValueError("a model of raw outputs has no logits: see `output_shapes`")
         return self._shapes[self.network[CLASSIFIER][-1]["name"]]
+
+    @property
+    def output_shapes(self) -> dict[str, Shape]:
+        """Name of a raw output -> its shape, (C, H, W) or (N,); empty for a model with classes."""
+        shapes = self._shapes
+        return {name: shapes[layer] for name, layer in self.outputs.items()}
 
     @property
     def places(self) -> Places | None:
         """Where on the sensor the places of a map model's map lie; None for other models."""
-        if self.logits_shape[0] == len(self.classes):
+        if self.outputs or self.logits_shape[0] == len(self.classes):
             return None
         return places_of(self.network[CLASSIFIER], self.config)
 
@@ -212,7 +257,8 @@ class Model:
     def _shapes(self) -> dict[str, Shape]:
         """Layer of the classifier -> the shape of its output."""
         tensors = {name: w.shape for name, w in self.weights.items()}
-        return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors)
+        outputs = list(self.outputs.values()) or None
+        return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors, outputs)
 
     def __repr__(self) -> str:
         sensor = "x".join(map(str, self.config.sensor))
@@ -220,8 +266,13 @@ class Model:
         all_layers = [layer for layers in self.network.values() for layer in layers]
         n_layers = Counter(layer["op"] for layer in all_layers if layer.get("weights"))
         n_weights = sum(w.size for w in self.weights.values())
+        if self.outputs:
+            shapes = self.output_shapes.items()
+            answer = ", ".join(f"{name} {'x'.join(map(str, shape))}" for name, shape in shapes)
+        else:
+            answer = f"{len(self.classes)} classes"
         parts = [
-            f"{len(self.classes)} classes",
+            answer,
             f"{sensor} -> {volume}",
             *(f"{n} {op}" for op, n in n_layers.items()),
             f"{n_weights:,} weights",
@@ -231,12 +282,18 @@ class Model:
     def description(self) -> dict[str, str]:
         """The metadata of a file: format, and configuration, classes and record as JSON.
 
+        Those of a model of raw outputs have `outputs`, too.
+
         Raises
         ------
         TypeError : the record holds something that JSON cannot represent.
         """
-        values = {"config": self.config.to_dict(), "classes": self.classes, "record": self.record}
-        return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
+        values: dict[str, Any] = {"config": self.config.to_dict(), "classes": self.classes}
+        values["record"] = self.record
+        if self.outputs:
+            values["outputs"] = self.outputs
+        file_format = FORMAT_OF_OUTPUTS if self.outputs else FORMAT
+        return {"format": file_format} | {name: json.dumps(value) for name, value in values.items()}
 
     def save(self, path: str | Path) -> Path:
         """Write the model to a .safetensors file; returns its path.
@@ -270,9 +327,38 @@ def _float32(name: str, values: Any) -> np.ndarray:
         return np.ascontiguousarray(array, np.float32).copy()  # the caller may change its array
 
 
-def _check_network(
-    network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int
-) -> None:
+def refuse_several_outputs(outputs: Mapping[str, str]) -> None:
+    """Refuse more than one output of a network that has classes."""
+    if len(outputs) > 1:
+        rule = "are for a network with one output; leave them out for a model of raw outputs"
+        raise ParameterValueError("classes", rule, f"{len(outputs)} outputs, {short([*outputs])}")
+
+
+def _check_outputs(outputs: Any, classes: tuple[str, ...]) -> None:
+    """Refuse a model that has both classes and raw outputs, or neither of them."""
+    if not isinstance(outputs, Mapping) or not all(
+        isinstance(name, str) and isinstance(layer, str) for name, layer in outputs.items()
+    ):
+        raise ParameterTypeError("outputs", "must map names to names of layers", short(outputs))
+    if not classes and not outputs:
+        raise ParameterValueError("classes", "must hold at least one name, or `outputs` be given")
+    if classes and outputs:
+        rule = "are for a network of logits, and `outputs` for others: give one of them"
+        raise ParameterValueError("classes", rule)
+
+
+def _checked_shapes(
+    network: Any,
+    weights: Mapping[str, np.ndarray],
+    config: TNTConfig,
+    outputs: Mapping[str, str],
+) -> dict[str, Shape]:
+    """Check the layers of all networks.
+
+    Returns
+    -------
+    Layer of the classifier -> the shape of its output.
+    """
     is_mapping = isinstance(network, Mapping)
     if not is_mapping or not all(isinstance(layers, Sequence) for layers in network.values()):
         raise ParameterTypeError("network", "must map names to lists of layers", short(network))
@@ -284,11 +370,13 @@ def _check_network(
         raise ParameterValueError("network", rule, ", ".join(sorted(network)))
 
     tensors = {name: w.shape for name, w in weights.items()}
-    shapes = {name: layer_shapes(layers, config.shape, tensors) for name, layers in network.items()}
-    logits = list(shapes[CLASSIFIER].values())[-1]
-    _check_logits(logits, n_classes, config)
+    shapes = {}
+    for name, layers in network.items():
+        output_layers = list(outputs.values()) if outputs and name == CLASSIFIER else None
+        shapes[name] = layer_shapes(layers, config.shape, tensors, output_layers)
     _check_centroids(network, shapes, config)
     _check_values(network, weights)
+    return shapes[CLASSIFIER]
 
 
 def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -45,19 +45,22 @@ def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str])
     return len(text).to_bytes(ALIGNMENT, "little") + text + content[end:]
 
 
-def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def read_tensors(
+    path: Path, formats: Sequence[str]
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Tensors and metadata of a file.
 
     Raises
     ------
     SafetensorError : the file is not a .safetensors file, or NumPy lacks the type of a tensor.
-    ValueError : `format` in the file's metadata is not the expected one. This is checked before any
+    ValueError : `format` in the file's metadata is none of `formats`. This is checked before any
         tensor is read, as the tensors of another program may be huge.
     """
     with safe_open(path, "numpy") as file:
         metadata = file.metadata() or {}
-        if metadata.get("format") != expected:
-            raise ValueError(f"`format` must be {expected!r}, got {metadata.get('format')!r}")
+        if metadata.get("format") not in formats:
+            expected = " or ".join(map(repr, formats))
+            raise ValueError(f"`format` must be {expected}, got {metadata.get('format')!r}")
         try:
             return {name: file.get_tensor(name) for name in sorted(file.keys())}, metadata
         except (KeyError, TypeError, AttributeError) as error:
@@ -72,10 +75,17 @@ def parse_metadata(metadata: Mapping[str, str], name: str) -> Any:
         raise ValueError(f"`{name}` in its metadata cannot be read: {error}") from None
 
 
-def read_description(
-    metadata: Mapping[str, str], *further_names: str
-) -> tuple[TNTConfig, Any, Any]:
-    """Configuration, classes and record, as `Model.description` wrote them.
+class Description(NamedTuple):
+    """What a file says about a model, apart from the network. Only `config` has been checked."""
+
+    config: TNTConfig
+    classes: Any
+    record: Any
+    outputs: Any
+
+
+def read_description(metadata: Mapping[str, str], *further_names: str) -> Description:
+    """Configuration, classes, record and outputs, as `Model.description` wrote them.
 
     Parameters
     ----------
@@ -92,7 +102,8 @@ def read_description(
     config = parse_metadata(metadata, "config")
     classes = parse_metadata(metadata, "classes")
     record = parse_metadata(metadata, "record")
-    return TNTConfig.from_dict(config), classes, record
+    outputs = parse_metadata(metadata, "outputs") if "outputs" in metadata else {}
+    return Description(TNTConfig.from_dict(config), classes, record, outputs)
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:

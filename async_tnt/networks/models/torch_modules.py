@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 
 def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
-    """A model's classifier as a module in eval mode.
+    """A model's network as a module in eval mode.
 
-    The module computes logits (N, n_classes) from volumes (N, C, H, W).
+    The module computes logits (N, n_classes) from volumes (N, C, H, W), or a tuple of the raw
+    outputs.
     """
-    return _network(model, CLASSIFIER)
+    return _network(model, CLASSIFIER, list(model.outputs.values()) or None)
 
 
 def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
@@ -40,10 +41,12 @@ def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
     return _network(model, REGRESSOR) if model.config.needs_regressor else None
 
 
-def _network(model: Model, name: str) -> tnt_reference.LayerNetwork:
+def _network(
+    model: Model, name: str, outputs: list[str] | None = None
+) -> tnt_reference.LayerNetwork:
     from tnt_reference import LayerNetwork
 
-    return LayerNetwork(model.network[name], model.weights).eval()
+    return LayerNetwork(model.network[name], model.weights, outputs).eval()
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:

@@ -7,17 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.messages import one_line
-from async_tnt.networks.layers.conversion_check import TOLERANCE, compare
-from async_tnt.networks.layers.graph import CLASSIFIER, layer_shapes, tensors_of
-from async_tnt.networks.models.compiled import CompiledClassifier
-from async_tnt.networks.models.model import Model
-from async_tnt.networks.models.objects import logits_shape
+from async_tnt.networks.layers.conversion_check import TOLERANCE, Function, compare
+from async_tnt.networks.layers.graph import (
+    CLASSIFIER,
+    VOLUME,
+    ReadNetwork,
+    layer_shapes,
+    needed_layers,
+    tensors_of,
+)
+from async_tnt.networks.layers.refusals import Refusals, RefusedError
+from async_tnt.networks.models.compiled_network import CompiledNetwork, compiled_network_of
+from async_tnt.networks.models.model import Model, refuse_several_outputs
 from async_tnt.networks.onnx.constant_folding import is_folded
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
@@ -28,8 +35,6 @@ from async_tnt.volume.config import TNTConfig
 if TYPE_CHECKING:
     import onnx
 
-Layers = list[dict[str, Any]]
-
 STANDARD = ("", "ai.onnx")
 """The names of the domain of ONNX's own operations."""
 
@@ -39,8 +44,13 @@ FIRST_OPSET = 7
 In earlier versions, sums have an axis, and batch norms and dropouts are in training mode by
 default."""
 
-WAY_OUT = "; OnnxClassifier(path) runs any float32 network of logits, whole at every decision"
-"""The end of a message about a refused network: what the user can do instead."""
+WAY_OUT_OF_LOGITS = (
+    "; OnnxClassifier(path) runs any float32 network of logits, whole at every decision"
+)
+"""The end of a message about a refused network with classes: what the user can do instead."""
+
+WAY_OUT = "; volumes(source, config) yields the volumes for a network of any kind"
+"""The end of a message about another refused network."""
 
 
 def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
@@ -87,11 +97,16 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
     layers = exported.layers
     try:
         # `tensors_of` can read the names of weights only from layers that have been checked
-        layer_shapes(layers, exported.config.shape, _shapes(weights))
+        layer_shapes(layers, exported.config.shape, _shapes(weights), ())
         used_weights = {name: weights[name] for name in sorted(tensors_of(layers))}
         network = {CLASSIFIER: layers}
         return Model(
-            exported.config, used_weights, exported.classes, exported.record, network=network
+            exported.config,
+            used_weights,
+            exported.classes,
+            exported.record,
+            network=network,
+            outputs=exported.outputs,
         )
     except NotImplementedError as error:
         raise ValueError(
@@ -105,36 +120,27 @@ def _foreign_model(
     path: Path, proto: onnx.ModelProto, config: TNTConfig, classes: Sequence[str] | None
 ) -> Model:
     """The model of another program's network, whose output has been compared with onnxruntime's."""
+    way_out = WAY_OUT if classes is None else WAY_OUT_OF_LOGITS
     try:
-        layers, weights = layers_from_onnx(proto, config.shape)
-        if classes is None:
-            classes = _default_classes(layers, config.shape, weights)
+        read = layers_from_onnx(proto, config.shape, has_classes=classes is not None)
+        if classes is not None:
+            refuse_several_outputs(read.outputs)
         model = Model(
             config,
-            weights,
-            classes,  # type: ignore[arg-type]  # `Model` checks it, and makes it a tuple
-            network={CLASSIFIER: layers},
+            read.weights,
+            () if classes is None else classes,  # type: ignore[arg-type]  # `Model` checks it
+            network={CLASSIFIER: read.layers},
+            outputs=read.outputs if classes is None else {},
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     except NotImplementedError as error:
-        raise NotImplementedError(f"{path}: {error}{WAY_OUT}") from None
+        raise NotImplementedError(f"{path}: {error}{way_out}") from None
     try:
         _compare_with_onnxruntime(path, proto, model)
     except ValueError as error:
-        raise NotImplementedError(f"{path} cannot be read as layers: {error}{WAY_OUT}") from None
+        raise NotImplementedError(f"{path} cannot be read as layers: {error}{way_out}") from None
     return model
-
-
-def _default_classes(
-    layers: Layers, shape: tuple[int, int, int], weights: Mapping[str, np.ndarray]
-) -> list[str]:
-    """The names "0", "1", ... for the logits, or for all channels of a map but the last."""
-    output = list(layer_shapes(layers, shape, _shapes(weights)).values())[-1]
-    answer_shape = logits_shape(output) or (0,)
-    is_map = len(answer_shape) == 3
-    n_classes = answer_shape[0] - 1 if is_map else answer_shape[0]
-    return [str(k) for k in range(max(1, n_classes))]
 
 
 def _shapes(weights: Mapping[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
@@ -152,45 +158,48 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     opened = open_session(str(path), str(path), 1)
     (network_input,) = opened.inputs
     dtype = input_type(proto)
-    # `layers_from_onnx` accepts a softmax only at the end of a network
+    # `layers_from_onnx` accepts a softmax only at the end of a network of classes
     has_softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
     n_batch = 1
     if network_input.shape and isinstance(network_input.shape[0], int):
         n_batch = network_input.shape[0]  # the file fixes the batch size
-    compiled = CompiledClassifier(model)
 
-    def original(volume: np.ndarray) -> np.ndarray:
+    def original(volume: np.ndarray) -> list[np.ndarray]:
         batch = np.repeat(volume[None], n_batch, 0).astype(dtype)
-        answer: np.ndarray = opened.session.run(None, {network_input.name: batch})[0]
-        return np.asarray(answer.reshape(n_batch, -1)[0], np.float64)
+        answers = opened.session.run(None, {network_input.name: batch})
+        return [answer.reshape(n_batch, -1)[0].astype(np.float64) for answer in answers]
 
-    def converted(volume: np.ndarray) -> np.ndarray:
-        logits = compiled(volume).astype(np.float64)
-        if not has_softmax:
-            return logits
-        odds = np.exp(logits - logits.max(0))
-        probabilities: np.ndarray = odds / odds.sum(0)
-        return probabilities
+    compiled = compiled_network_of(model)
+    if isinstance(compiled, CompiledNetwork):
+        converted: Function = compiled
+    else:
+
+        def converted(volume: np.ndarray) -> list[np.ndarray]:
+            logits = compiled(volume).astype(np.float64)
+            if not has_softmax:
+                return [logits]
+            odds = np.exp(logits - logits.max(0))
+            return [odds / odds.sum(0)]
 
     tolerance = max(TOLERANCE, 8 * float(np.finfo(dtype).eps))
     compare(original, converted, model.config.shape, tolerance)
 
 
 def layers_from_onnx(
-    model: onnx.ModelProto, shape: tuple[int, int, int]
-) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a network with one input, and the weights of the layers.
+    model: onnx.ModelProto, shape: tuple[int, int, int], *, has_classes: bool
+) -> ReadNetwork:
+    """The layers of a network with one input.
 
-    `networks/onnx/operations.py` lists the operators that become layers. A softmax at the end of
-    the network is left out.
+    `networks/onnx/operations.py` lists the operators that become layers.
 
     Parameters
     ----------
     shape : (C, H, W) of a volume. The file may leave these sides of the input (N, C, H, W) open.
+    has_classes : whether the network is read for classes. Then a softmax at its end is left out.
 
     Raises
     ------
-    NotImplementedError : a node has no compiled form. The message names the first such node.
+    NotImplementedError : nodes have no compiled form. The message names the kinds of these nodes.
     ValueError : the network's input has another shape.
     """
     from onnx import numpy_helper
@@ -198,34 +207,59 @@ def layers_from_onnx(
     graph = model.graph
     opset = _check_meanings(model)
     inputs = _inputs(model)
-    if len(inputs) != 1 or len(graph.output) != 1:
-        raise NotImplementedError(
-            f"the network must have one input and one output, got {len(inputs)} and "
-            f"{len(graph.output)}"
-        )
+    if len(inputs) != 1:
+        raise NotImplementedError(f"the network must have one input, got {len(inputs)}")
     _check_input_shape(inputs[0], shape)
     constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     onnx_layers = OnnxLayers(inputs[0].name, shape, input_type(model), constants, opset)
-    output = graph.output[0].name
+    output_names = [output.name for output in graph.output]
+    left_out = output_names if has_classes else []
+    refused = Refusals()
     for node in map(Node, graph.node):
-        rule = RULES.get(node.op)
-        is_inner_softmax = node.op == "Softmax" and node.outputs[0] != output
+        is_ending_softmax = node.op == "Softmax" and node.outputs[0] in left_out
         try:
-            if is_folded(onnx_layers, node):
-                continue
-            if rule is not None and not is_inner_softmax:
-                rule(onnx_layers, node)
-                continue
-        except (NotImplementedError, ValueError) as error:  # a ValueError if shapes do not fit
-            raise NotImplementedError(f"{node.where}: {error}") from None
-        raise NotImplementedError(f"{node.where} has no compiled form")
-    if not onnx_layers.layers or onnx_layers.names.get(output) != onnx_layers.layers[-1]["name"]:
-        raise NotImplementedError("the network's last layer must compute its output")
+            _read(onnx_layers, node, is_ending_softmax)
+        except RefusedError as error:
+            refused.add(error)
+            # so that later nodes are read, too, as if the volume were the value of this one
+            onnx_layers.names |= dict.fromkeys(node.outputs, VOLUME)
+        except ValueError as error:  # shapes do not fit; after a refused node they are wrong anyway
+            if not refused:
+                raise NotImplementedError(f"{node.where}: {error}") from None
+    refused.raise_if_any()
     try:
-        layer_shapes(onnx_layers.layers, shape, _shapes(onnx_layers.tensors))
+        outputs = {name: onnx_layers.layer_name(name) for name in output_names}
+        read = needed_layers(onnx_layers.layers, onnx_layers.tensors, outputs)
+        layer_shapes(read.layers, shape, _shapes(read.weights), list(outputs.values()))
+    except NotImplementedError as error:
+        raise NotImplementedError(f"the network's output: {error}") from None
     except ValueError as error:
         raise NotImplementedError(str(error)) from None
-    return onnx_layers.layers, onnx_layers.tensors
+    return read
+
+
+def _read(onnx_layers: OnnxLayers, node: Node, is_ending_softmax: bool) -> None:
+    """Add the layers of one node.
+
+    Raises
+    ------
+    RefusedError : the node has no compiled form.
+    ValueError : its inputs do not fit.
+    """
+    rule = RULES.get(node.op)
+    try:
+        if is_folded(onnx_layers, node):
+            return
+        if rule is None or (node.op == "Softmax" and not is_ending_softmax):
+            advice = ""
+            if node.op == "Softmax":
+                advice = "; at the end of a network of `classes` it is left out"
+            raise RefusedError(node.op, f"{node.where} has no compiled form{advice}")
+        rule(onnx_layers, node)
+    except RefusedError:
+        raise
+    except NotImplementedError as error:
+        raise RefusedError(f"{node.op}: {error}", f"{node.where}: {error}") from None
 
 
 def _check_input_shape(value: onnx.ValueInfoProto, shape: tuple[int, int, int]) -> None:

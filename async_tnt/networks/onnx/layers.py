@@ -112,7 +112,7 @@ class OnnxLayers:
     def shape(self, value: str) -> tuple[int, ...]:
         """The shape of a value, (C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.tensors.items()}
-        return layer_shapes(self.layers, self._shape, tensors, partial=True)[self.layer_name(value)]
+        return layer_shapes(self.layers, self._shape, tensors, outputs=())[self.layer_name(value)]
 
     def alias(self, node: Node, value: str) -> None:
         """Add a node that passes a value on: the value's layer computes the node's output."""

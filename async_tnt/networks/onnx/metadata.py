@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.networks.layers.graph import CLASSIFIER
 from async_tnt.networks.layers.layer import Layer
-from async_tnt.networks.models.model import FORMAT, Model
+from async_tnt.networks.models.model import FORMAT, FORMATS, Model
 from async_tnt.networks.models.model_file import parse_metadata, read_description
 from async_tnt.volume.config import TNTConfig
 
@@ -26,12 +26,13 @@ BLANK = 64 * "0"
 
 @dataclass(frozen=True)
 class Exported:
-    """The Model that a classifier was exported from, without its weights."""
+    """The Model that a network was exported from, without its weights."""
 
     config: TNTConfig
     classes: tuple[str, ...]
     record: Mapping[str, Any]
     layers: list[Layer]
+    outputs: Mapping[str, str]
 
 
 def metadata_of(model: Model) -> dict[str, str]:
@@ -73,19 +74,24 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
     file_format = metadata.get("format", "")
     if not file_format.startswith(FORMAT.split()[0] + " "):
         return None
-    if file_format != FORMAT:
-        raise ValueError(f"metadata `format` must be {FORMAT!r}, got {file_format!r}")
+    if file_format not in FORMATS:
+        expected = " or ".join(map(repr, FORMATS))
+        raise ValueError(f"metadata `format` must be {expected}, got {file_format!r}")
     try:
-        config, classes, record = read_description(metadata)
+        config, classes, record, outputs = read_description(metadata)
         layers = parse_metadata({"network": metadata.get("network", "")}, "network")
     except TypeError as error:
         raise ValueError(str(error)) from None
 
-    is_list = isinstance(classes, list) and len(classes) > 0
+    is_list = isinstance(classes, list) and bool(classes or outputs)
     if not is_list or not all(isinstance(name, str) for name in classes):
         raise ValueError(f"metadata `classes` must be a list of names, got {metadata['classes']!r}")
     if not isinstance(record, dict):
         raise ValueError(f"metadata `record` must be a mapping, got {metadata['record']!r}")
+    if not isinstance(outputs, dict):
+        raise ValueError(
+            f"metadata `outputs` must map names to layers, got {metadata['outputs']!r}"
+        )
     if not isinstance(layers, list):
         raise ValueError(
             f"metadata `network` must be a list of layers, got {metadata['network']!r}"
@@ -95,4 +101,4 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
             "its checksum differs; copy or export it again (where another program has changed it, "
             "remove `format` from its metadata)"
         )
-    return Exported(config, tuple(classes), record, layers)
+    return Exported(config, tuple(classes), record, layers, outputs)

@@ -17,6 +17,7 @@ from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.base.messages import one_line
 from async_tnt.base.running import Running, one_at_a_time
+from async_tnt.networks.layers.conversion_check import Function
 from async_tnt.networks.models.objects import LOGITS_SHAPES, Places, logits_shape, places_of
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.volume.config import TNTConfig
@@ -168,6 +169,31 @@ class OnnxClassifier:
                 f"{self._name}: the network fails on this volume: {one_line(error)}"
             ) from None
         return self._answer.copy()
+
+
+def has_raw_outputs(path: Path) -> bool:
+    """Whether a file is the export of a model of raw outputs. A missing file is none."""
+    if not path.is_file():
+        return False
+    opened = open_session(str(path), str(path), 1)
+    return opened.exported is not None and bool(opened.exported.outputs)
+
+
+def output_function(path: Path) -> Function:
+    """All outputs of a network in a file by onnxruntime, as a function of a volume (C, H, W).
+
+    Raises
+    ------
+    ImportError, ValueError : see `open_session`.
+    """
+    opened = open_session(str(path), str(path), 1)
+    name = opened.inputs[0].name
+
+    def outputs(volume: np.ndarray) -> list[np.ndarray]:
+        answers: list[np.ndarray] = opened.session.run(None, {name: volume[None]})
+        return answers
+
+    return outputs
 
 
 def _places_of(exported: Exported, name: str) -> Places:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import onnx
 
 LOGITS = "logits"
-"""The name of the graph's output."""
+"""The name of the graph's output, if the network computes logits."""
 
 
 class OnnxNodes:
@@ -26,6 +26,7 @@ class OnnxNodes:
     weights : the network's weights by name.
     shapes : name -> the shape of a layer's output, or of the volume.
     make_node : `onnx.helper.make_node`.
+    outputs : the names of the graph's outputs.
 
     Attributes
     ----------
@@ -43,8 +44,9 @@ class OnnxNodes:
         weights: Mapping[str, np.ndarray],
         shapes: Mapping[str, Shape],
         make_node: Callable[..., onnx.NodeProto],
+        outputs: Sequence[str],
     ) -> None:
-        for name in (LOGITS, VOLUME):
+        for name in (*outputs, VOLUME):
             if name in weights:
                 raise ValueError(
                     f"a weight is named {name!r}, as ONNX's input or output: it needs another name"
@@ -54,18 +56,18 @@ class OnnxNodes:
         self._shapes = shapes
         self._make = make_node
         self._layer_names = [layer["name"] for layer in layers]
-        self._taken = {VOLUME, LOGITS, *weights}
+        self._taken = {VOLUME, *outputs, *weights}
         self._values = {VOLUME: VOLUME}  # layer -> the name of its value in the graph
 
     def value_of(self, layer: str) -> str:
         """The name that the value of a layer has in the graph."""
         return self._values[layer]
 
-    def name_value(self, layer: Layer, *, is_output: bool) -> str:
+    def name_value(self, layer: Layer, *, is_logits: bool) -> str:
         """Choose the name that a layer's value has in the graph.
 
-        It is the layer's name, with `_` added if the name is taken. If the layer is the network's
-        output and computes a vector, it is `LOGITS`.
+        It is the layer's name, with `_` added if the name is taken. If the layer computes the
+        logits as a vector, it is `LOGITS`.
         """
         name: str = layer["name"]
         # A rule may add values of its own, such as "conv1.sum" for the layer "conv1". So no other
@@ -74,7 +76,7 @@ class OnnxNodes:
             other.startswith(f"{name}.") for other in self._layer_names
         ):
             name += "_"
-        if is_output and len(self._shapes[layer["name"]]) == 1:
+        if is_logits and len(self._shapes[layer["name"]]) == 1:
             name = LOGITS
         self._taken.add(name)
         self._values[layer["name"]] = name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import FunctionType
 from typing import Any
 
@@ -17,34 +17,32 @@ from torch import fx, nn
 from async_tnt.base.checks import ParameterTypeError
 from async_tnt.base.messages import one_line
 from async_tnt.networks.layers.conversion_check import Function, compare
-from async_tnt.networks.layers.graph import VOLUME, layer_shapes
+from async_tnt.networks.layers.graph import VOLUME, ReadNetwork, layer_shapes
+from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.torch.form import TorchForm
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
 from async_tnt.networks.torch.operations import FUNCTIONS, METHODS, MODULES
+from async_tnt.networks.torch.outputs import named_outputs
 
-Layers = list[dict[str, Any]]
-
-MOST_KINDS = 10
-"""Most kinds of refused calls that a message names."""
-
-WAY_OUT = (
-    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
-    "whole at every decision"
+WAY_OUT_OF_LOGITS = (
+    "; a network of logits runs whole at every decision: TorchClassifier(module), or exported to "
+    "ONNX, OnnxClassifier(path)"
 )
-"""The end of a message about a refused module: what the user can do instead."""
+"""The end of a message about a refused module with classes: what the user can do instead."""
+
+WAY_OUT = "; volumes(source, config) yields the volumes for a network of any kind"
+"""The end of a message about another refused module."""
 
 
-def layers_from_torch(
-    module: nn.Module, shape: tuple[int, ...], prefix: str = ""
-) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers that compute what a module computes in eval mode, and their weights.
+def layers_from_torch(module: nn.Module, shape: tuple[int, ...], prefix: str = "") -> ReadNetwork:
+    """The layers that compute what a module computes in eval mode.
 
     The module itself is not changed.
 
     Parameters
     ----------
-    module : volumes (1, C, H, W) -> (1, n), made of the modules, functions and methods that
-        `networks/torch/operations.py` lists, in place or not.
+    module : volumes (1, C, H, W) -> tensors (1, ...), made of the modules, functions and methods
+        that `networks/torch/operations.py` lists, in place or not.
     shape : shape of a volume, (C, H, W).
     prefix : text before the names of the weights. Without it they are the names of `state_dict`.
 
@@ -63,7 +61,11 @@ def layers_from_torch(
         raise ParameterTypeError("module", "must be a torch.nn.Module", got)
     if type(module) is LayerNetwork:
         layers = [_with_prefix(layer, prefix) for layer in module.layers]
-        return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
+        tensors = {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
+        names = module.outputs
+        return ReadNetwork(
+            layers, tensors, named_outputs(layers[-1]["name"] if names is None else tuple(names))
+        )
 
     module = own_copy(module)
     # A trace looks into the module itself, but takes each known module in it as one call. So if the
@@ -75,8 +77,9 @@ def layers_from_torch(
     except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}") from None
     try:
-        layers, weights = _Conversion(module, LayerList(shape, prefix)).run(graph)
-        layer_shapes(layers, shape, {name: w.shape for name, w in weights.items()})
+        read = _Conversion(module, LayerList(shape, prefix)).run(graph)
+        tensor_shapes = {name: w.shape for name, w in read.weights.items()}
+        layer_shapes(read.layers, shape, tensor_shapes, list(read.outputs.values()))
     except ValueError as error:
         # If the module itself fails on a volume of this shape, with an error of any type, the shape
         # is wrong. Otherwise the layers are wrong.
@@ -85,7 +88,7 @@ def layers_from_torch(
         except Exception:
             raise error from None
         raise _cannot_be_read(error) from None
-    return layers, weights
+    return read
 
 
 def _cannot_be_read(error: Exception) -> NotImplementedError:
@@ -100,19 +103,14 @@ def _with_prefix(layer: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {**layer, "weights": weights}
 
 
-def check_torch_layers(
-    module: nn.Module,
-    layers: Sequence[Mapping[str, Any]],
-    weights: Mapping[str, np.ndarray],
-    shape: tuple[int, ...],
-) -> None:
+def check_torch_layers(module: nn.Module, read: ReadNetwork, shape: tuple[int, ...]) -> None:
     """Check that a module and its layers compute the same, both in float64.
 
     The layers come from a trace, which does not show everything that a module does.
 
     Parameters
     ----------
-    layers, weights : what `layers_from_torch` made of the module.
+    read : what `layers_from_torch` made of the module.
     shape : shape of a volume, (C, H, W).
 
     Raises
@@ -120,7 +118,8 @@ def check_torch_layers(
     NotImplementedError : see `compare`.
     """
     original = _function_of(own_copy(module))
-    converted = _function_of(LayerNetwork(layers, weights).eval())
+    layers, weights, outputs = read
+    converted = _function_of(LayerNetwork(layers, weights, list(outputs.values())).eval())
     try:
         compare(original, converted, shape)
     except ValueError as error:
@@ -131,11 +130,12 @@ def _function_of(network: nn.Module) -> Function:
     """A function of volumes that computes in float64. It uses the network itself, not a copy."""
     network = network.cpu().double()
 
-    def logits(volume: np.ndarray) -> np.ndarray:
+    def outputs(volume: np.ndarray) -> list[np.ndarray]:
         with torch.no_grad():
-            return np.asarray(network(torch.tensor(volume, dtype=torch.float64)[None]))
+            value = network(torch.tensor(volume, dtype=torch.float64)[None])
+        return [np.asarray(tensor) for tensor in named_outputs(value).values()]
 
-    return logits
+    return outputs
 
 
 def own_copy(module: nn.Module) -> nn.Module:
@@ -195,8 +195,8 @@ class _Conversion:
 
         The value of a node that is no key here has memory of its own."""
 
-    def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
-        """The layers that the output is computed from, and the weights of these layers."""
+    def run(self, graph: fx.Graph) -> ReadNetwork:
+        """The layers that the outputs are computed from."""
         self._position = {node: k for k, node in enumerate(graph.nodes)}
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
@@ -207,24 +207,25 @@ class _Conversion:
         self._read_all(graph)
 
         (output_node,) = [node for node in graph.nodes if node.op == "output"]
-        output = output_node.args[0]
-        if not isinstance(output, fx.Node):
-            raise NotImplementedError("the module must return one tensor of logits")
+        outputs = named_outputs(output_node.args[0])
+        if not outputs:
+            raise NotImplementedError("the module must return a tensor, got none")
         try:
-            return self._layer_list.needed_for(output)
+            return self._layer_list.needed_for(outputs)
         except NotImplementedError as error:
             raise NotImplementedError(f"the module's output: {error}") from None
 
     def _read_all(self, graph: fx.Graph) -> None:
         """Read all calls; a NotImplementedError that names all kinds without compiled form."""
-        refused: dict[str, list[_RefusedError]] = {}
+        refused = Refusals()
         for node in graph.nodes:
-            if node.op in ("placeholder", "get_attr", "output") or _is_size(node):
+            is_call = node.op not in ("placeholder", "get_attr", "output")
+            if not is_call or _is_size(node) or _is_named_tuple(node):
                 continue
             try:
                 self._read(node)
-            except _RefusedError as error:
-                refused.setdefault(error.kind, []).append(error)
+            except RefusedError as error:
+                refused.add(error)
             except ValueError:
                 if not refused:  # after a refused call, shapes are wrong anyway
                     raise
@@ -233,8 +234,7 @@ class _Conversion:
             # The message has to name all kinds of refused calls. So later calls are read, too, as
             # if the volume were the value of this call.
             self._layer_list.names[node] = VOLUME
-        if refused:
-            raise NotImplementedError(_named_kinds(list(refused.values())))
+        refused.raise_if_any()
 
     def _read(self, node: fx.Node) -> None:
         """Add the layers of one call, and note which layer computes the node's value."""
@@ -249,7 +249,7 @@ class _Conversion:
             advice = ""
             if "softmax" in kind.lower():
                 advice = ": a decision has the softmax of its logits, leave it out"
-            raise _RefusedError(kind, f"{where} has no compiled form{advice}")
+            raise RefusedError(kind, f"{where} has no compiled form{advice}")
         try:
             call = Call(node, self._with_tensors(form.arguments(node, module)), module)
             if node.users or call.written is not None:
@@ -260,7 +260,7 @@ class _Conversion:
                     self._memory[node] = self._memory.get(call["input"], call["input"])
                 self._layer_list.names[node] = name
         except NotImplementedError as error:
-            raise _RefusedError(f"{kind}: {error}", f"{where}: {error}") from None
+            raise RefusedError(f"{kind}: {error}", f"{where}: {error}") from None
 
     def _write(self, node: fx.Node, written: fx.Node, name: str) -> None:
         """Record that a call changes a tensor in place.
@@ -330,29 +330,9 @@ class _Conversion:
         return name, None, FUNCTIONS.get(target)
 
 
-class _RefusedError(NotImplementedError):
-    """A call that has no compiled form.
-
-    Parameters
-    ----------
-    kind : the same for all calls that are refused for one reason.
-    message : names the call, and says why it is refused.
-    """
-
-    def __init__(self, kind: str, message: str) -> None:
-        super().__init__(message)
-        self.kind = kind
-
-
-def _named_kinds(kinds: Sequence[Sequence[_RefusedError]]) -> str:
-    """A message that names the first call of each kind, and counts the others."""
-    parts = []
-    for errors in kinds[:MOST_KINDS]:
-        count = f" ({len(errors)} of these)" if len(errors) > 1 else ""
-        parts.append(f"{errors[0]}{count}")
-    if len(kinds) > MOST_KINDS:
-        parts.append(f"and {len(kinds) - MOST_KINDS} more kinds")
-    return "; ".join(parts)
+def _is_named_tuple(node: fx.Node) -> bool:
+    """Whether a node makes a named tuple, which only the output may be."""
+    return node.op == "call_function" and hasattr(node.target, "_fields")
 
 
 def _is_size(node: fx.Node) -> bool:

@@ -11,7 +11,12 @@ import torch
 from torch import fx
 
 from async_tnt.networks.layers.conversion_check import expect_form
-from async_tnt.networks.layers.graph import VOLUME, layer_shapes
+from async_tnt.networks.layers.graph import (
+    VOLUME,
+    ReadNetwork,
+    layer_shapes,
+    needed_layers,
+)
 
 
 @dataclass(frozen=True)
@@ -98,22 +103,12 @@ class LayerList:
     def shape(self, node: Any) -> tuple[int, ...]:
         """The shape of a node's value, (C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.weights.items()}
-        return layer_shapes(self.layers, self._volume, tensors, partial=True)[self.source(node)]
+        return layer_shapes(self.layers, self._volume, tensors, outputs=())[self.source(node)]
 
-    def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-        """The layers that are needed to compute a node's value, and the weights of these layers.
-
-        The last of these layers computes the value.
-        """
-        needed = {self.source(output)}
-        expect_form(needed != {VOLUME}, "the volume itself")
-        layers: list[dict[str, Any]] = []
-        for layer in reversed(self.layers):
-            if layer["name"] in needed:
-                needed.update(layer["inputs"])
-                layers.insert(0, layer)
-        used_names = {name for layer in layers for name in layer.get("weights", {}).values()}
-        return layers, {name: w for name, w in self.weights.items() if name in used_names}
+    def needed_for(self, outputs: Mapping[str, fx.Node]) -> ReadNetwork:
+        """The layers that compute the values of some nodes, see `needed_layers`."""
+        layers = {name: self.source(node) for name, node in outputs.items()}
+        return needed_layers(self.layers, self.weights, layers)
 
     def tensors(self, call: Call, **roles: str) -> dict[str, str]:
         """Keep tensors of the called module as weights.
