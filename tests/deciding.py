@@ -3,7 +3,7 @@
 import numpy as np
 from oracles import as_values
 
-from async_tnt import TNTConfig
+from async_tnt import Output, TNTConfig
 
 CONFIG = TNTConfig(window_us=1000, landmark="running", t_max=2.0)
 
@@ -20,9 +20,16 @@ def uneven(volume):
     return np.array([total, 0.5 * size - 1.5, np.sin(size)], np.float32)
 
 
-def key(decision):
-    """All that a decision says, as values that can be compared."""
-    return (*as_values(decision), decision.label, decision.probabilities.tobytes())
+def key(answer):
+    """All that a Decision or an Output says, as values that can be compared.
+
+    Of an Output the boxes are left out, as they depend on what was read before.
+    """
+    if isinstance(answer, Output):
+        where = (answer.window_start_us, answer.time_us, answer.events, answer.complete)
+        arrays = [array.tobytes() for array in answer.arrays]
+        return (*where, answer.trigger, answer.names, *arrays)
+    return (*as_values(answer), answer.label, answer.probabilities.tobytes())
 
 
 def at(times):

@@ -71,6 +71,30 @@ def random_model(
     return thesis_model(config, weights, names, {"made": True})
 
 
+def raw_model(config: TNTConfig = TNTConfig(), *, seed: int = 0) -> Model:  # noqa: B008
+    """A model with raw outputs: a map of the grid's size, one of half of it, and a vector."""
+    rng = np.random.default_rng(seed)
+    channels = config.shape[0]
+    name, op, halving = _conv("half", roles=("weight",))
+    steps = [
+        _conv("flow", roles=("weight",)),
+        _relu(1),
+        (name, op, halving | {"stride": [2, 2]}),
+        ("mean", "global_average_pool", {}),
+        ("vector", "flatten", {}),
+    ]
+    weights = {
+        "flow.weight": rng.normal(size=(2, channels, 3, 3)),
+        "half.weight": rng.normal(size=(3, 2, 3, 3)),
+    }
+    return Model(
+        config,
+        weights,
+        network={"classifier": _chain(steps)},
+        outputs={"flow": "flow", "half": "half", "mean": "vector"},
+    )
+
+
 REGRESSOR_CONFIG = TNTConfig(landmark="regressor")
 
 

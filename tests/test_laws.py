@@ -16,7 +16,13 @@ import pytest
 from deciding import key, uneven
 from hypothesis import given
 from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_model, random_regressor_model
+from made import (
+    nasty_streams,
+    random_events,
+    random_model,
+    random_regressor_model,
+    raw_model,
+)
 
 from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
 
@@ -128,6 +134,13 @@ class Stream(Copied):
         return processor.volume().tobytes(), processor.landmark, processor.counts, key(fired)
 
 
+class OutputStream(Stream):
+    """A Processor of a model of raw outputs, its answers as comparable values."""
+
+    def __init__(self, config, settings):
+        self.processor = Processor(raw_model(config), **settings)
+
+
 VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.items()}
 OF_A_DURATION = {"hop_us", "start_us"}
 # Each setting with both ways of deciding, and with one of the other landmarks.
@@ -147,7 +160,12 @@ for _kind, _name, _compiled in STREAMS:
     _decides = "network" if _compiled else "callable"
     _make = partial(Stream, KINDS[_kind], _compiled, SETTINGS[_name])
     PROCESSORS[f"{_kind}, {_name}, {_decides}"] = _make
-ALL = VOLUMES | PROCESSORS
+OUTPUTS = {
+    f"raw outputs, {name}": partial(OutputStream, CONFIG, settings)
+    for name, settings in SETTINGS.items()
+    if "confidence" not in settings
+}
+ALL = VOLUMES | PROCESSORS | OUTPUTS
 of_all = pytest.mark.parametrize("make", ALL.values(), ids=ALL)
 
 
@@ -303,5 +321,5 @@ def test_every_event_is_counted_once(make):
     fed(stream, events, (50,))
     counts = stream.look()[2]
     assert counts.received == len(events)
-    if isinstance(stream, Volume) or "hop_us" not in make.args[2]:  # else once in every window
+    if isinstance(stream, Volume) or "hop_us" not in make.args[-1]:  # else once in every window
         assert sum(dataclasses.astuple(counts)) == 2 * len(events)  # received, and kept or dropped

@@ -43,6 +43,7 @@ def test_the_report_has_machine_model_and_every_figure(program):
         "name": "digits",
         "config": load_model("digits").config.to_dict(),
         "classes": 10,
+        "outputs": 0,
     }
     text = program("bench")[1]
     assert (

@@ -1,0 +1,184 @@
+"""Networks of raw outputs: their names from torch and ONNX, their files, what is refused."""
+
+from collections import OrderedDict
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import tnt_reference
+import torch
+from made import random_model, raw_model
+from networks.small import SMALL
+from torch import nn
+
+from async_tnt import CompiledNetwork, Model, TNTConfig, load_model
+from async_tnt.networks import to_onnx
+from async_tnt.networks.torch.from_torch import layers_from_torch
+
+
+class Flow(NamedTuple):
+    x: torch.Tensor
+    scales: list
+
+
+class Net(nn.Module):
+    """A network that returns what `answer` makes of three tensors."""
+
+    def __init__(self, answer):
+        super().__init__()
+        self.first = nn.Conv2d(2, 4, 3, padding=1)
+        self.second = nn.Conv2d(4, 3, 3, stride=2)
+        self.last = nn.Linear(4, 2)
+        self.answer = answer
+
+    def forward(self, x):
+        a = self.first(x)
+        b = torch.relu(a)
+        return self.answer(a, self.second(b), self.last(b.mean((2, 3))))
+
+
+ANSWERS = {
+    "a tensor": (lambda a, b, c: b, ["output"]),
+    "a tuple": (lambda a, b, c: (a, b, c), ["output.0", "output.1", "output.2"]),
+    "a list in a dictionary": (
+        lambda a, b, c: {"flow": a, "scales": [b, (c,)]},
+        ["flow", "scales.0", "scales.1.0"],
+    ),
+    "an ordered dictionary": (lambda a, b, c: OrderedDict(out=b, aux=a), ["out", "aux"]),
+    "a named tuple": (lambda a, b, c: Flow(a, [b, c]), ["x", "scales.0", "scales.1"]),
+    "one in a named tuple": (lambda a, b, c: (Flow(x=c, scales=[a]), b), None),
+    "the same twice": (lambda a, b, c: (a, a), ["output.0", "output.1"]),
+    "none beside": (lambda a, b, c: (b, None), ["output.0"]),
+    "number keys": (lambda a, b, c: {1: a, 2: b}, ["output.1", "output.2"]),
+}
+
+
+def numbers_of(value):
+    """The tensors in a value, in order, as arrays."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, (tuple, list)):
+        return [array for part in value for array in numbers_of(part)]
+    return [] if value is None else [value.detach().numpy()]
+
+
+@pytest.mark.parametrize("kind", ANSWERS)
+def test_a_module_may_return_tensors_in_any_order_and_nesting(kind, tmp_path):
+    answer, names = ANSWERS[kind]
+    torch.manual_seed(0)
+    module = Net(answer).eval()
+    model = Model.from_torch(module, SMALL)
+    if names is None:
+        names = ["output.0.x", "output.0.scales.0", "output.1"]
+    assert list(model.outputs) == names and model.classes == () and model.places is None
+    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
+    expected = [array[0] for array in numbers_of(module(torch.tensor(volume)[None]))]
+    assert list(model.output_shapes.values()) == [array.shape for array in expected]
+    for one in (model, load_model(model.save(tmp_path / "m.safetensors"))):
+        assert one.outputs == model.outputs
+        for array, wanted in zip(CompiledNetwork(one)(volume), expected, strict=True):
+            np.testing.assert_allclose(array, wanted, atol=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_an_onnx_file_of_several_outputs_keeps_their_names(tmp_path):
+    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
+    torch.manual_seed(0)
+    module = Net(lambda a, b, c: (b, a, c)).eval()
+    path = tmp_path / "theirs.onnx"
+    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
+    example = torch.tensor(volume)[None]
+    names = ["small", "large", "vector"]
+    torch.onnx.export(module, (example,), path, output_names=names, dynamo=False)
+    model = load_model(path, config=SMALL)
+    assert list(model.outputs) == names
+    ours = tmp_path / "ours.onnx"
+    ours.write_bytes(to_onnx(model).SerializeToString())
+    again = load_model(ours)
+    assert (again.outputs, again.config) == (model.outputs, SMALL)
+    for one in (model, again):
+        for array, wanted in zip(CompiledNetwork(one)(volume), module(example), strict=True):
+            np.testing.assert_allclose(array, wanted[0].detach().numpy(), atol=1e-5)
+    with pytest.raises(ValueError, match="`classes` are for a network with one output; leave them"):
+        load_model(path, config=SMALL, classes=["a", "b"])
+
+
+def test_layers_of_the_reference_with_outputs_are_read_as_they_are():
+    model = raw_model(SMALL)
+    module = tnt_reference.LayerNetwork(
+        model.network["classifier"], model.weights, list(model.outputs.values())
+    )
+    again = Model.from_torch(module, SMALL)
+    assert again.network == model.network
+    assert list(again.outputs.values()) == list(model.outputs.values())
+
+
+def test_layers_that_no_output_needs_are_left_out():
+    read = layers_from_torch(Net(lambda a, b, c: a), SMALL.shape)
+    assert [layer["name"] for layer in read.layers] == ["first"]
+    assert read.weights.keys() == {"first.weight", "first.bias"}
+
+
+def test_an_output_inside_the_network_has_its_own_numbers():
+    """Although an activation follows, which could have become part of its step."""
+    torch.manual_seed(0)
+    module = Net(lambda a, b, c: {"linear": a, "positive": b}).eval()
+    network = CompiledNetwork(Model.from_torch(module, SMALL))
+    linear, small = network(np.ones(SMALL.shape, np.float32))
+    assert linear.min() < 0 and small.shape == (3, 2, 2)
+
+
+def test_outputs_for_another_sensor():
+    large = raw_model(SMALL).for_sensor((90, 80))
+    assert large.output_shapes == {"flow": (2, 60, 50), "half": (3, 30, 25), "mean": (3,)}
+
+
+def test_what_is_neither_or_both_is_refused():
+    model = raw_model(SMALL)
+    parts = {"network": model.network, "outputs": model.outputs}
+    with pytest.raises(ValueError, match="`classes` are for a network of logits, and `outputs`"):
+        Model(SMALL, model.weights, ("a", "b"), **parts)
+    with pytest.raises(ValueError, match="`classes` must hold at least one name, or `outputs` be"):
+        Model(SMALL, model.weights, network=model.network)
+    with pytest.raises(TypeError, match="`outputs` must map names to names of layers"):
+        Model(SMALL, model.weights, network=model.network, outputs=["flow"])
+    with pytest.raises(ValueError, match="no layer is named 'flows', which is an output"):
+        Model(SMALL, model.weights, network=model.network, outputs={"flow": "flows"})
+    flat = nn.Sequential(nn.Conv2d(2, 3, 3), nn.Flatten())
+    with pytest.raises(NotImplementedError, match="'1' is an output, and a flattened map"):
+        Model.from_torch(flat, SMALL)
+    with pytest.raises(NotImplementedError, match="the volume itself has no compiled form"):
+        Model.from_torch(nn.Identity(), SMALL)
+    with pytest.raises(NotImplementedError, match="must return a tensor, got none"):
+        Model.from_torch(Net(lambda a, b, c: None), SMALL)
+    with pytest.raises(ValueError, match="are for a network with one output; leave them out"):
+        Model.from_torch(Net(lambda a, b, c: (a, c)), SMALL, ["a", "b"])
+    with pytest.raises(ValueError, match="a model of raw outputs has no logits"):
+        _ = model.logits_shape
+    assert random_model(SMALL).outputs == {} == random_model(SMALL).output_shapes
+
+
+def test_a_refused_module_names_a_way_that_there_is():
+    with pytest.raises(NotImplementedError) as raised:
+        Model.from_torch(nn.Sequential(nn.Conv2d(2, 3, 3), nn.Softmax(1)), SMALL)
+    assert str(raised.value).endswith(
+        "; volumes(source, config) yields the volumes for a network of any kind"
+    )
+
+
+@pytest.mark.parametrize(
+    "changes", [{"outputs": "[]"}, {"outputs": '{"a": 1}'}, {"outputs": "{"}, {"outputs": "{}"}]
+)
+def test_damaged_outputs_in_a_file_are_told(changes, tmp_path):
+    from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
+
+    model = raw_model(TNTConfig())
+    path = model.save(tmp_path / "m.safetensors")
+    from safetensors import safe_open
+
+    with safe_open(path, "numpy") as file:
+        metadata = file.metadata() | changes
+    metadata["sha256"] = checksum_of(model.weights, metadata)
+    path.write_bytes(tensor_bytes(model.weights, metadata))
+    with pytest.raises(ValueError, match=r"m\.safetensors holds a damaged model: [^\n]*$"):
+        load_model(path)
