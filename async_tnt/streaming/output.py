@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.networks.models.compiled_network import Box
+from async_tnt.base.box import Box
 from async_tnt.streaming.decision import Decision, Trigger
 
 if TYPE_CHECKING:

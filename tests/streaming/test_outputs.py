@@ -22,7 +22,7 @@ from async_tnt import (
     volumes,
     warmup,
 )
-from async_tnt.networks.models.compiled_network import Box
+from async_tnt.base.box import Box
 from async_tnt.streaming.streams import PIECE
 
 CONFIG = TNTConfig(sensor=(30, 24), grid=(14, 12), bins=3, window_us=1000, t_max=2.0)

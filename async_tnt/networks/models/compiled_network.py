@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from async_tnt.base.box import Box
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.kernels.decisions import outputs as K
@@ -17,20 +18,6 @@ from async_tnt.networks.layers.program import VolumeInput
 from async_tnt.networks.models.compiled import CompiledClassifier, program_of
 from async_tnt.networks.models.model import Model
 from async_tnt.volume.volume import TNTVolume
-
-
-class Box(NamedTuple):
-    """A rectangle of places of a map: columns x0 <= x < x1 and rows y0 <= y < y1."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no place is in it."""
-        return self.x0 == self.x1
 
 
 class CompiledNetwork:
