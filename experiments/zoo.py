@@ -64,8 +64,7 @@ def tried(entry: Entry) -> dict[str, Any]:
 
 
 def _from_torch(module: nn.Module, shape: tuple[int, int, int]) -> None:
-    layers, weights = layers_from_torch(module, shape)
-    check_torch_layers(module, layers, weights, shape)
+    check_torch_layers(module, layers_from_torch(module, shape), shape)
 
 
 def _from_onnx(module: nn.Module, shape: tuple[int, int, int]) -> None:
@@ -77,7 +76,7 @@ def _from_onnx(module: nn.Module, shape: tuple[int, int, int]) -> None:
         torch.onnx.export(
             module, (torch.zeros(1, *shape),), path, opset_version=OPSET, dynamo=False
         )
-        layers_from_onnx(onnx.load(path), shape)
+        layers_from_onnx(onnx.load(path), shape, has_classes=False)
 
 
 def _reason(convert: Callable[[], object]) -> str:

@@ -192,6 +192,24 @@ def _depth_to_space(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Te
     return F.pixel_shuffle(x, layer["block"])
 
 
+def _bilinear_corners(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    block = layer["block"]
+    sides = (block * x.shape[2], block * x.shape[3])
+    return F.interpolate(x, size=sides, mode="bilinear", align_corners=True)
+
+
+def _expand(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return x.expand(-1, -1, *layer["size"])
+
+
+def _pick(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return x[:, layer["channels"]]
+
+
+def _multiply(layer: Layer, weights: Weights, x: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    return x * other
+
+
 def _add(layer: Layer, weights: Weights, *inputs: torch.Tensor) -> torch.Tensor:
     return cast(torch.Tensor, sum(inputs))
 
@@ -253,6 +271,10 @@ OPERATIONS: dict[str, Operation] = {
     "zero_pad": _zero_pad,
     "edge_pad": _edge_pad,
     "depth_to_space": _depth_to_space,
+    "bilinear_corners": _bilinear_corners,
+    "expand": _expand,
+    "pick": _pick,
+    "multiply": _multiply,
     "add": _add,
     "concat": _concat,
     "flatten": _flatten,

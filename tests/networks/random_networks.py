@@ -173,9 +173,41 @@ def _padding(op):
     return draw
 
 
+def _bilinear_corners(make, source, shape):
+    blocks = [1] + [block for block in (2, 3) if block * max(shape[1:]) < MOST_PLACES]
+    return make.add("bilinear_corners", [source], block=make.pick(blocks))
+
+
+def _expand(make, source, shape):
+    """The mean of all places, at as many places as the source has, or others."""
+    mean = make.add("global_average_pool", [source])
+    size = make.pick([list(shape[1:]), [1, 1], [3, 70]])
+    return make.add("expand", [mean], size=size)
+
+
+def _pick(make, source, shape):
+    channels = make.draw(st.lists(st.integers(0, shape[0] - 1), min_size=1, max_size=20))
+    return make.add("pick", [source], channels=channels)
+
+
+def _other_operand(make, source, shape):
+    """An input of a sum or product: of the same shape, or of one place or channel."""
+    kind = make.pick(["same", "one place", "one channel"])
+    if kind == "one place":
+        return make.add("global_average_pool", [source])
+    if kind == "one channel":
+        return make.add("pick", [source], channels=[0])
+    return make.pick([name for name, other in make.shapes.items() if other == shape])
+
+
 def _add(make, source, shape):
-    same = [name for name, other in make.shapes.items() if other == shape]
-    return make.add("add", [source, make.pick(same)])
+    return make.add("add", [source, _other_operand(make, source, shape)])
+
+
+def _multiply(make, source, shape):
+    """The second factor is small, so that numbers do not grow from layer to layer."""
+    factor = make.add(make.pick(["sigmoid", "tanh"]), [_other_operand(make, source, shape)])
+    return make.add("multiply", make.pick([[source, factor], [factor, source]]))
 
 
 def _concat(make, source, shape):
@@ -204,6 +236,10 @@ ON_MAPS = {
     "zero_pad": _padding("zero_pad"),
     "edge_pad": _padding("edge_pad"),
     "depth_to_space": _depth_to_space,
+    "bilinear_corners": _bilinear_corners,
+    "expand": _expand,
+    "pick": _pick,
+    "multiply": _multiply,
     "add": _add,
     "concat": _concat,
 }

@@ -40,6 +40,9 @@ PARAMETERS = {
     "zero_pad": {"padding": [1, 0, 2, 1]},
     "edge_pad": {"padding": [1, 0, 2, 1]},
     "depth_to_space": {"block": 2},
+    "bilinear_corners": {"block": 2},
+    "expand": {"size": [3, 2]},
+    "pick": {"channels": [3, 1, 1]},
 }
 """Operation -> the parameters of its example."""
 OTHERS = [
@@ -94,6 +97,9 @@ def example(op, changed=None):
         layers.append(layer("global_average_pool", "mean", "input"))
         layers.append(layer("flatten", "numbers", "mean"))
         inputs = ["numbers"]
+    if op == "expand":
+        layers.append(layer("global_average_pool", "mean", "input"))
+        inputs = ["mean"]
     if OPERATIONS[op].n_inputs == 2:
         layers.append(layer("tanh", "other", "input"))
         inputs = ["input", "other"]

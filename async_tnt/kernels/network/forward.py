@@ -124,8 +124,10 @@ def forward(program, weights, maps, places):
         note_rows(program, at + P.CHANGED, first_row, last_row)
         if program[at + P.KIND] == P.MIX:
             mix(program, at, n, weights, maps, places, bits)
-        elif program[at + P.KIND] == P.SPREAD:
-            _spread(program, at, n, maps.view(np.uint32), places, bits)
+        elif program[at + P.KIND] == P.PICK:
+            _pick(program, at, n, maps.view(np.uint32), places, bits)
+        elif program[at + P.KIND] >= P.PRODUCT:
+            _of_two(program, at, n, maps, places, bits)
         else:
             _by_channel(program, at, n, weights, maps, places, bits)
         add_changes(program, at + P.TOUCHED, at + P.CHANGED, bits)
@@ -168,27 +170,58 @@ def _by_channel(program, at, n, weights, maps, places, bits):
 
 
 @inlined
-def _spread(program, at, n, words_of_maps, places, bits):
-    """Spread the numbers of one place over a block of places, at the n places of the list."""
+def _pick(program, at, n, words_of_maps, places, bits):
+    """Copy some channels of one place, or spread them over a block, at the n places of the list."""
     block = program[at + P.BLOCK]
     channels = program[at + P.OUT_CHANNELS]
+    first_tap = program[program[at + P.RUNS]]
+    all_picked = program[at + P.RUNS] + 1
     for listed in range(program[P.LIST], program[P.LIST] + n):
         place = np.int64(places[np.uint64(listed)])
         row = place >> 16
         column = place & 0xFFFF
         y = _quotient(row, block)
         x = _quotient(column, block)
-        source = program[program[at + P.RUNS]]
-        source += y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
-        source += (row - y * block) * block + column - x * block
+        source = first_tap + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+        in_block = (row - y * block) * block + column - x * block
+        picked = all_picked + in_block * channels
         target = program[at + P.OUT]
         target += row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
 
         changed = np.uint32(0)
         for c in range(channels):
-            number = words_of_maps[np.uint64(source + c * block * block)]
+            number = words_of_maps[np.uint64(source + program[np.uint64(picked + c)])]
             changed |= number ^ words_of_maps[np.uint64(target + c)]
             words_of_maps[np.uint64(target + c)] = number
+
+        row_of_bits = program[at + P.CHANGED] + row * program[at + P.CHANGED + WORDS]
+        note_changes(bits, row_of_bits, column, np.uint64(changed != 0))
+
+
+@inlined
+def _of_two(program, at, n, maps, places, bits):
+    """Compute products or sums of two inputs at the n places of the list."""
+    words_of_maps = maps.view(np.uint32)
+    is_product = program[at + P.KIND] == P.PRODUCT
+    channels = program[at + P.OUT_CHANNELS]
+    one = program[at + P.RUNS]
+    two = one + P.OF_TWO_SIZE
+    for listed in range(program[P.LIST], program[P.LIST] + n):
+        place = np.int64(places[np.uint64(listed)])
+        row = place >> 16
+        column = place & 0xFFFF
+        first = program[one] + row * program[one + P.DY] + column * program[one + P.DX]
+        second = program[two] + row * program[two + P.DY] + column * program[two + P.DX]
+        target = program[at + P.OUT]
+        target += row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
+
+        changed = np.uint32(0)
+        for c in range(channels):
+            number = maps[np.uint64(first + c * program[one + P.DK])]
+            other = maps[np.uint64(second + c * program[two + P.DK])]
+            before = words_of_maps[np.uint64(target + c)]
+            maps[np.uint64(target + c)] = number * other if is_product else number + other
+            changed |= before ^ words_of_maps[np.uint64(target + c)]
 
         row_of_bits = program[at + P.CHANGED] + row * program[at + P.CHANGED + WORDS]
         note_changes(bits, row_of_bits, column, np.uint64(changed != 0))
@@ -222,11 +255,17 @@ def _list_dirty(program, at, places, bits):
     """
     if program[P.STALE] != 0:
         return _list_all(program, at, places)
-    if program[at + P.KIND] == P.SPREAD:
+    if program[at + P.BLOCK] > 1:
         return _list_blocks(program, at, places, bits)
 
     first_source = program[at + P.SOURCES]
     n_sources = program[at + P.N_SOURCES]
+    n_whole = program[at + P.N_WHOLE]
+    for s in range(first_source, first_source + n_whole):
+        if bits[np.uint64(program[program[s]])] != 0:
+            return _list_all(program, at, places)
+    first_source += n_whole
+    n_sources -= n_whole
     top = np.int64(MAX_ROW)
     bottom = np.int64(-1)
     n_words = np.int64(0)
@@ -290,15 +329,24 @@ def _seen_in_word(program, bits, first_source, n_sources, vertical, row, word):
 
 @inlined
 def _list_blocks(program, at, places, bits):
-    """`_list_dirty` of a SPREAD: the blocks of the places of its one source that have changed."""
-    record = program[program[at + P.SOURCES]]
+    """`_list_dirty` of a PICK with blocks: those of the places of its source that have changed."""
+    first_source = program[at + P.SOURCES]
+    n_sources = program[at + P.N_SOURCES]
     block = program[at + P.BLOCK]
     end = program[P.LIST]
-    last_row = min((program[record + LAST_ROW] + 1) * block, program[at + P.ROWS])
-    for row in range(program[record + FIRST_ROW] * block, last_row):
-        first = program[record] + _quotient(row, block) * program[record + WORDS]
-        for word in range(program[record + WORDS]):
-            left = bits[np.uint64(first + word)]
+    top = np.int64(MAX_ROW)
+    bottom = np.int64(-1)
+    for s in range(first_source, first_source + n_sources):
+        top = min(top, program[program[s] + FIRST_ROW])
+        bottom = max(bottom, program[program[s] + LAST_ROW])
+    for row in range(top * block, min((bottom + 1) * block, program[at + P.ROWS])):
+        y = _quotient(row, block)
+        for word in range(program[program[first_source] + WORDS]):
+            left = np.uint64(0)
+            for s in range(first_source, first_source + n_sources):
+                record = program[s]
+                if program[record + FIRST_ROW] <= y <= program[record + LAST_ROW]:
+                    left |= bits[np.uint64(program[record] + y * program[record + WORDS] + word)]
             while left != 0:
                 column = (64 * word + trailing_zeros(left)) * block
                 for x in range(column, min(column + block, program[at + P.COLUMNS])):

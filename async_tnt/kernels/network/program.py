@@ -16,9 +16,12 @@ each place it computes one of these:
     SUM       out[c] = bias[c] + sum over taps r of w[r, c] in[taps[r] + c]
     MAXIMUM   out[c] = max over taps r of in[taps[r] + c]
     FUNCTION  out[c] = f(in[taps[0] + c]), with f of `functions`
-    SPREAD    out[c] = in[taps[0] + c block^2 + i],   i = block (row % block) + column % block
+    PICK      out[c] = in[taps[0] + channels[i C + c]],  i = block (row % block) + column % block
+    PRODUCT   out[c] = first[c] second[c]
+    TOTAL     out[c] = first[c] + second[c]
 
-and then the activation, clip(out < 0 ? slope out : out, low, high); a SPREAD has none.
+and then the activation, clip(out < 0 ? slope out : out, low, high). A PICK, a PRODUCT and a TOTAL
+have none.
 
 A MIX is a convolution, and its groups are computed one after another. Its inputs lie side by side
 in runs, which are the rows of its kernel, or its taps. An input i is one number of the program,
@@ -26,8 +29,10 @@ distances[i] | i << 32. Inputs that are 0 may be left out, and the sum is never 
 other steps treat each channel by itself. A SUM is average pooling, addition, normalization, a
 depthwise convolution, or the second half of a dense layer. The first half of a dense layer is a MIX
 with other weights at each place: a sum over many places is kept in parts, by place and by row, so
-that an update costs little and gives the bits of a sum from scratch. A SPREAD makes a block of
-places of each place of its source.
+that an update costs little and gives the bits of a sum from scratch. A PICK copies some channels in
+any order; with a block above 1 it makes a block of places of each place of its source. In a PICK,
+PRODUCT or TOTAL an input of one place counts for all places; in a PRODUCT or TOTAL one of one
+channel counts for all channels.
 
 The weights of a MIX are blocks of filters, group after group; and so for each place, if places have
 weights of their own. A block holds at most REGISTERS registers of filters, padded with zeros to n,
@@ -76,7 +81,7 @@ LISTED = 25  # where in the program the inputs of a tile are listed that are not
 
 FIRST_STEP = 26  # where the record of the first step begins
 # a step's record
-KIND = 0  # MIX, SUM, MAXIMUM, FUNCTION or SPREAD
+KIND = 0  # MIX, SUM, MAXIMUM, FUNCTION, PICK, PRODUCT or TOTAL
 N_SOURCES = 1  # how many maps it reads
 # Where in the program a list of these maps lies. For each map it has the place where the record of
 # the map's changes begins.
@@ -101,7 +106,10 @@ OUT = 25
 OUT_DY = 26
 OUT_DX = 27
 OUT_CHANNELS = 28  # output channels of each group
-RUNS = 29  # where in the program the distances of its taps lie; of a MIX: its inputs, run by run
+# Where in the program the distances of its taps lie; of a MIX: its inputs, run by run; of a PICK:
+# its tap, then `channels`; of a PRODUCT or TOTAL: for each input its tap and the strides of its
+# rows, columns and channels.
+RUNS = 29
 N_RUNS = 30
 RUN_LENGTH = 31  # MIX only: numbers of a run
 GROUPS = 32  # MIX only; others have one
@@ -109,10 +117,13 @@ GROUP_CHANNELS = 33  # input channels from one group to the next
 WEIGHTS = 34  # where in `weights` its weights begin
 PLACE_WEIGHTS = 35  # stride of the places' weights, in numbers; 0: all places share them
 APPLIED = 36  # FUNCTION only: the function's number
-BLOCK = 37  # SPREAD only: the side of the block that one place becomes
+BLOCK = 37  # PICK only: the side of the block that one place becomes
 TILES_UNLISTED = 38  # MIX only: how many more tiles are computed from all inputs, see `tiles`
 PAUSE = 39  # MIX only: how many tiles that was when it was last decided
-STEP_SIZE = 40  # numbers in a record
+# PICK, PRODUCT and TOTAL only: how many maps in the list SOURCES, from the first on, have one place
+# that counts for all places
+N_WHOLE = 40
+STEP_SIZE = 41  # numbers in a record
 
 ALWAYS = 1 << 62
 """TILES_UNLISTED of a step that leaves no input out."""
@@ -122,4 +133,12 @@ MIX = 0
 SUM = 1
 MAXIMUM = 2
 FUNCTION = 3
-SPREAD = 4
+PICK = 4
+PRODUCT = 5
+TOTAL = 6
+
+# the table of a PRODUCT or TOTAL, for each input: where its place (0, 0) lies, then its strides
+DY = 1
+DX = 2
+DK = 3  # 0: its one channel counts for all
+OF_TWO_SIZE = 4

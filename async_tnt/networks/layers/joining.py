@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from async_tnt.kernels.network.program import SPREAD, SUM
-from async_tnt.networks.layers.layer import POSITIVE, Layer, Shape
+from async_tnt.kernels.network.program import PICK, PRODUCT, SUM, TOTAL
+from async_tnt.networks.layers.layer import CHANNELS, POSITIVE, Layer, Shape
 from async_tnt.networks.layers.operation import Operation, expect_map
 from async_tnt.networks.layers.places import spread_axis
 from async_tnt.networks.layers.steps import Map, StepList
@@ -24,23 +26,78 @@ def _depth_to_space_shape(layer: Layer, inputs: list[Shape], weights: dict[str, 
 
 def _depth_to_space_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
-    if len(source.writers) > 1:  # a SPREAD needs an input that one step computes
-        source = step_list.copy(source, source.like())
+    block = layer["block"]
     output = step_list.output_of(layer)
+    picked = np.arange(source.channels).reshape(output.channels, block**2).T.reshape(-1)
+    return _add_pick(step_list, source, output, picked.tolist(), block=block)
+
+
+def _add_pick(
+    step_list: StepList, source: Map, output: Map, picked: Sequence[int], **options: Any
+) -> Map:
     zeros = np.zeros(output.channels)
-    return step_list.add(SPREAD, [source], output, [], zeros, block=layer["block"])
+    return step_list.add(PICK, [source], output, [], zeros, picked=picked, **options)
+
+
+def _pick_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    channels = inputs[0][0]
+    if max(layer["channels"]) >= channels:
+        raise ValueError(f"its channels must be below {channels}, got {max(layer['channels'])}")
+    return (len(layer["channels"]), *inputs[0][1:])
+
+
+def _pick_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    (source,) = inputs
+    output = Map(len(layer["channels"]), source.rows, source.columns)
+    return _add_pick(step_list, source, output, layer["channels"])
 
 
 def _add_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len(set(inputs)) > 1:
+    if len(set(inputs)) > 1 and len(inputs) > 2:
         raise ValueError(f"its inputs must have one shape, got {', '.join(map(str, inputs))}")
-    return inputs[0]
+    return _shape_of_two(inputs)
+
+
+def _shape_of_two(inputs: list[Shape]) -> Shape:
+    """The shape of a product or sum of two inputs."""
+    shape = inputs[0]
+    for other in inputs[1:]:
+        if other == shape:
+            continue
+        are_maps = len(shape) == len(other) == 3
+        channels = {shape[0], other[0]} - {1}
+        sides = {shape[1:], other[1:]} - {(1, 1)}
+        if not are_maps or len(channels) > 1 or len(sides) > 1:
+            raise ValueError(
+                "its inputs must have one shape, or one place or channel for all, got "
+                f"{', '.join(map(str, inputs))}"
+            )
+        shape = (max(shape[0], other[0]), *max(shape[1:], other[1:]))
+    return shape
 
 
 def _add_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     first = inputs[0]
+    if any(one.sides != first.sides or one.channels != first.channels for one in inputs):
+        return _add_of_two(TOTAL, step_list, inputs)
     ones = np.ones((len(inputs), first.channels))
     return step_list.add(SUM, inputs, first.like(), ones, np.zeros(first.channels))
+
+
+def _multiply_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if len(inputs) > 2:
+        raise ValueError(f"must have 2 inputs, got {len(inputs)}")
+    return _shape_of_two(inputs)
+
+
+def _multiply_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    return _add_of_two(PRODUCT, step_list, inputs)
+
+
+def _add_of_two(kind: int, step_list: StepList, inputs: list[Map]) -> Map:
+    rows, columns = max(source.sides for source in inputs)
+    output = Map(max(source.channels for source in inputs), rows, columns)
+    return step_list.add(kind, inputs, output, [], np.zeros(output.channels))
 
 
 def _concat_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
@@ -89,8 +146,28 @@ JOINING = (
         places=spread_axis,
     ),
     Operation(
+        name="pick",
+        description="Some channels of the input, in the order of `channels`.",
+        parameters={"channels": CHANNELS},
+        shape=_pick_shape,
+        steps=_pick_steps,
+    ),
+    Operation(
+        name="multiply",
+        description=(
+            "The product of two inputs. Their shapes are the same, or one of them has one place or "
+            "one channel, which counts for all."
+        ),
+        shape=_multiply_shape,
+        steps=_multiply_steps,
+        n_inputs=2,
+    ),
+    Operation(
         name="add",
-        description="The sum of two or more inputs of one shape.",
+        description=(
+            "The sum of two or more inputs of one shape, or of two whose shapes may differ as in a "
+            "product."
+        ),
         shape=_add_shape,
         steps=_add_steps,
         n_inputs=2,

@@ -49,6 +49,12 @@ def _whole_numbers(n: int, low: int) -> Check:
     return Check(f"a list of {n} whole numbers from {low} on", holds)
 
 
+def _are_channels(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(_is_whole(one, 0) for one in value)
+
+
+CHANNELS = Check("a list of at least one whole number from 0 on", _are_channels)
+
 SIDES = _whole_numbers(2, 1)
 """Two sides, [y, x]."""
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from async_tnt.kernels.network.program import SUM
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.layers.operations import OPERATIONS
@@ -99,8 +100,8 @@ def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
             if step.output not in needed_sides:
                 continue
             step.rows, step.columns = needed_sides[step.output]
-        rows, columns = step.reads
         for input_map in step.inputs:
+            rows, columns = step.reads(input_map)
             rows_before, columns_before = needed_sides.get(input_map, (1, 1))
             needed_sides[input_map] = (
                 min(max(rows_before, rows), input_map.rows),
@@ -111,10 +112,10 @@ def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
 
 
 def _give_frames(steps: list[Step]) -> None:
-    """Give each map the frame that its readers need; the inputs of a step get the same frame."""
+    """Give each map the frame that its readers need; the inputs of a SUM get the same frame."""
     for step in steps:
-        rows, columns = step.reads
         for input_map in step.inputs:
+            rows, columns = step.reads(input_map)
             below = max(0, rows - input_map.rows)
             right = max(0, columns - input_map.columns)
             _widen(input_map, (*step.padding, below, right))
@@ -124,6 +125,8 @@ def _give_frames(steps: list[Step]) -> None:
     while has_widened:
         has_widened = False
         for step in steps:
+            if step.kind != SUM:
+                continue
             for input_map in step.inputs:
                 for other_input in step.inputs:
                     has_widened |= _widen(input_map, other_input.frame)

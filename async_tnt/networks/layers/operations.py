@@ -16,10 +16,11 @@ from async_tnt.networks.layers.linear import LINEAR
 from async_tnt.networks.layers.operation import Operation
 from async_tnt.networks.layers.padding import PADDINGS
 from async_tnt.networks.layers.pooling import POOLING
+from async_tnt.networks.layers.upsampling import UPSAMPLING
 
 OPERATIONS: dict[str, Operation] = {
     operation.name: operation
-    for operation in (*LINEAR, *ACTIVATIONS, *POOLING, *PADDINGS, *JOINING)
+    for operation in (*LINEAR, *ACTIVATIONS, *POOLING, *PADDINGS, *UPSAMPLING, *JOINING)
 }
 """Name -> operation, in the order in which messages and pages list them."""
 

@@ -1,4 +1,4 @@
-"""Every second, third ... row and column of a map, as x[..., ::2, 1::2] takes them.
+"""Some rows and columns of a map, as x[..., ::2, 1:-3] takes them.
 
 It is a depthwise convolution with one weight of 1, so it needs no operation of its own.
 """
@@ -12,20 +12,21 @@ import numpy as np
 
 
 def picked(
-    channels: int, start: Sequence[int], step: Sequence[int]
+    channels: int, start: Sequence[int], step: Sequence[int], dropped: Sequence[int] = (0, 0)
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """The weight and the parameters of the convolution that takes some rows and columns.
 
-    Row i of the result is row start + i step of the map. The kernel reaches from the rows before it
-    to this row, so that as many rows are taken as there are.
+    Row i of the result is row start + i step of the map. The kernel reaches over the rows before
+    the first and behind the last one, so that as many rows are taken as there are.
 
     Parameters
     ----------
     start, step : y and x; `start` is from 0 on, `step` from 1 on.
+    dropped : how many rows and columns behind the last one are not taken.
     """
-    kernel = [start[0] + 1, start[1] + 1]
+    kernel = [start[0] + 1 + dropped[0], start[1] + 1 + dropped[1]]
     weight = np.zeros((channels, 1, *kernel), np.float32)
-    weight[:, :, -1, -1] = 1.0
+    weight[:, :, start[0], start[1]] = 1.0
     parameters = {
         "kernel": kernel,
         "stride": list(step),

@@ -25,7 +25,7 @@ from async_tnt.networks.layers.packing import (
     round_up,
     shared_weights,
 )
-from async_tnt.networks.layers.steps import Map, Step
+from async_tnt.networks.layers.steps import OF_TWO, Map, Step
 
 
 class ProgramArrays(NamedTuple):
@@ -330,30 +330,46 @@ class _ProgramWriter:
 
     def _write_inputs(self, record: np.ndarray, step: Step) -> None:
         """Write where the changes of the step's inputs are recorded, and where the inputs lie."""
-        # where in the program each record of changes begins
-        sources = [
-            self.records[writer] + P.CHANGED
-            for input_map in step.inputs
-            for writer in input_map.writers
-        ]
-        if self._layout.volume in step.inputs:
-            sources.append(P.INPUT_CHANGED)
+        # those whose places count for all come first
+        inputs = sorted(dict.fromkeys(step.inputs), key=step.is_for_all_places, reverse=True)
+        sources = [source for input_map in inputs for source in self._changes_of(input_map)]
         record[P.N_SOURCES] = len(sources)
         record[P.SOURCES] = self._add_table(sources)
+        whole = [one for one in inputs if step.is_for_all_places(one)]
+        record[P.N_WHOLE] = sum(len(self._changes_of(one)) for one in whole)
 
         source = step.inputs[0]
         runs, run_length = _runs(step, self._layout.firsts)
         table = runs
+        if step.kind == P.PICK:
+            table = [*runs, *step.picked]
+        if step.kind in OF_TWO:
+            table = [number for one in step.inputs for number in self._table_of_input(step, one)]
         if step.kind == P.MIX:
             distances = [run + k for run in runs for k in range(run_length)]
             table = [distance | i << 32 for i, distance in enumerate(distances)]
             self._most_inputs = max(self._most_inputs, len(table))
         record[P.IN] = 0  # the table holds distances from the beginning of `maps`
-        record[P.IN_DY] = step.stride[0] * source.pitch
-        record[P.IN_DX] = step.stride[1] * source.channels
+        if not step.is_for_all_places(source):
+            record[P.IN_DY] = step.stride[0] * source.pitch
+            record[P.IN_DX] = step.stride[1] * source.channels
         record[P.N_RUNS] = len(runs)
         record[P.RUN_LENGTH] = run_length
         record[P.RUNS] = self._add_table(table)
+
+    def _changes_of(self, input_map: Map) -> list[int]:
+        """Where in the program the records of a map's changes begin."""
+        if input_map is self._layout.volume:
+            return [P.INPUT_CHANGED]
+        return [self.records[writer] + P.CHANGED for writer in input_map.writers]
+
+    def _table_of_input(self, step: Step, source: Map) -> tuple[int, int, int, int]:
+        """Where an input of a PRODUCT or TOTAL begins; strides of its rows, columns, channels."""
+        first = self._layout.firsts[source]
+        by_channel = 0 if source.channels == 1 else 1
+        if step.is_for_all_places(source):
+            return first, 0, 0, by_channel
+        return first, source.pitch, source.channels, by_channel
 
     def _write_output(self, record: np.ndarray, step: Step) -> None:
         record[P.OUT] = self._layout.firsts[step.output] + step.channel

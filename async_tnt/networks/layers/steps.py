@@ -5,13 +5,13 @@ What each kind of step computes is described in `kernels.network.program`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from async_tnt.kernels.network.program import MIX, SPREAD, SUM
+from async_tnt.kernels.network.program import MIX, PICK, PRODUCT, SUM, TOTAL
 from async_tnt.networks.layers.layer import Layer, Shape
 
 
@@ -59,6 +59,13 @@ class Map:
         return top * self.pitch + left * self.channels
 
 
+WITHOUT_ACTIVATION = (PICK, PRODUCT, TOTAL)
+"""Kinds of steps whose results are neither scaled nor limited."""
+
+OF_TWO = (PRODUCT, TOTAL)
+"""Kinds of steps of two inputs, of which one may have one place, or one channel, for all."""
+
+
 @dataclass(eq=False)
 class Step:
     """A computation of a map, or of some channels of it, from other maps.
@@ -66,15 +73,17 @@ class Step:
     Parameters
     ----------
     name : the layer that the step computes or belongs to.
-    kind : MIX, MAXIMUM, FUNCTION or SPREAD, which have one input; or SUM, whose inputs have one
-        shape and are taps of one sum.
+    kind : MIX, MAXIMUM, FUNCTION or PICK, which have one input; SUM, whose inputs have one shape
+        and are taps of one sum; PRODUCT or TOTAL, which have two inputs.
     weights : for a MIX, shape (F, C / groups, kernel_y, kernel_x), or (rows, columns, F, C) with
         `own_weights`. For a SUM, shape (taps, C), input by input and tap by tap, or (rows, columns,
         taps, C) with `own_weights`.
     bias : (F,) or (C,).
     own_weights : whether each place has weights of its own.
     function : the index of a FUNCTION's function in `kernels.network.functions.FUNCTIONS`.
-    block : the side of the block that one place of a SPREAD's input becomes.
+    block : the side of the block that one place of a PICK's input becomes.
+    picked : of a PICK: the channels of the input that it copies, for each place of a block in
+        turn.
     channel : the first channel of the output that the step computes.
 
     Attributes
@@ -98,6 +107,7 @@ class Step:
     own_weights: bool = False
     function: int = 0
     block: int = 1
+    picked: Sequence[int] = ()
     channel: int = 0
     rows: int = field(init=False)
     columns: int = field(init=False)
@@ -116,17 +126,23 @@ class Step:
         """Whether the result is scaled where it is negative, or limited."""
         return bool((self.slopes != 1).any()) or self.low != -np.inf or self.high != np.inf
 
-    @property
-    def reads(self) -> tuple[int, int]:
-        """How many rows and columns of its inputs the step reads.
+    def reads(self, input_map: Map) -> tuple[int, int]:
+        """How many rows and columns of an input the step reads.
 
         They are counted from the first row and column of the map. The last rows and columns may lie
         in the frame.
         """
+        if self.is_for_all_places(input_map):
+            return 1, 1
         return self._reads(0, self.rows), self._reads(1, self.columns)
 
+    def is_for_all_places(self, input_map: Map) -> bool:
+        """Whether an input has one place, which counts for all places of the output."""
+        can_be = self.kind in (PICK, *OF_TWO) and self.block == 1
+        return can_be and input_map.sides == (1, 1) != self.output.sides
+
     def _reads(self, axis: int, n_outputs: int) -> int:
-        """`reads` along one axis."""
+        """`reads` along one axis, of an input whose places are not for all."""
         n_places = -(-n_outputs // self.block)  # rounded up
         last_begin = (n_places - 1) * self.stride[axis] - self.padding[axis]
         reach = (self.kernel[axis] - 1) * self.dilation[axis]
@@ -203,7 +219,7 @@ class StepList:
         is_read_here_only = self._readers[layer["inputs"][0]] == 1
         if len(source.writers) == 1 and is_read_here_only:
             step = source.writers[0]
-            can_change = step.kind != SPREAD
+            can_change = step.kind not in WITHOUT_ACTIVATION
             if linear:
                 can_change = step.kind in (MIX, SUM)
             if can_change and not step.is_activated:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,22 @@ class Node:
         return value.decode() if isinstance(value, bytes) else value
 
 
+class Grouped(NamedTuple):
+    """A map with its channels arranged in groups, see `arranging.reshape`."""
+
+    source: str
+    """The value of the map itself."""
+    groups: int
+    is_transposed: bool = False
+
+
+def without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape without the sides of 1 at its front, which change nothing when ONNX broadcasts."""
+    while shape[:1] == (1,):
+        shape = shape[1:]
+    return shape
+
+
 class OnnxLayers:
     """The layers that a graph's nodes have become so far, and the weights of these layers.
 
@@ -59,6 +75,7 @@ class OnnxLayers:
     tensors : name -> weights.
     dtype : type of the network's input and weights.
     names : name of a value -> the layer that computes the value.
+    grouped : name of a value -> the map whose channels it has in groups.
     """
 
     def __init__(
@@ -72,23 +89,34 @@ class OnnxLayers:
         self.layers: list[dict[str, Any]] = []
         self.tensors: dict[str, np.ndarray] = {}
         self.names = {input_name: VOLUME}
+        self.grouped: dict[str, Grouped] = {}
         self.constants = dict(constants)
         self.opset = opset
         self._shape = shape
         self.dtype = dtype
 
     def add(self, node: Node, op: str, sources: Sequence[str], **parameters: Any) -> None:
-        """Add a layer that a node becomes, named after the node's output.
+        """Add a layer that a node becomes, named after the node's first output.
 
         If a node becomes several layers, the last of them computes the node's output.
         """
+        self.add_value(node.outputs[0], op, sources, parameters)
+
+    def add_value(
+        self, value: str, op: str, sources: Sequence[str], parameters: Mapping[str, Any]
+    ) -> None:
+        """Add a layer that computes a value, and is named after it."""
         used_names = {VOLUME, *(layer["name"] for layer in self.layers)}
-        name = node.outputs[0]
+        name = value
         while name in used_names:
             name += "_"
         inputs = [self.layer_name(source) for source in sources]
         self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
-        self.names[node.outputs[0]] = name
+        self.names[value] = name
+
+    def group(self, node: Node, grouped: Grouped) -> None:
+        """Add a node that arranges the channels of a map in groups: it adds no layer."""
+        self.grouped[node.outputs[0]] = grouped
 
     def layer_name(self, value: str) -> str:
         """The name of the layer that computes a value.
@@ -110,7 +138,9 @@ class OnnxLayers:
         return {"op": VOLUME, "inputs": []}
 
     def shape(self, value: str) -> tuple[int, ...]:
-        """The shape of a value, (C, H, W) or (N,)."""
+        """The shape of a value, (C, H, W) or (N,); of channels in groups that of the map itself."""
+        if value in self.grouped:
+            value = self.grouped[value].source
         tensors = {name: values.shape for name, values in self.tensors.items()}
         return layer_shapes(self.layers, self._shape, tensors, outputs=())[self.layer_name(value)]
 

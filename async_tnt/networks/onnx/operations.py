@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from async_tnt.networks.onnx import arranging
 from async_tnt.networks.onnx import read_rules as read
 from async_tnt.networks.onnx import write_rules as write
 from async_tnt.networks.onnx.read_rules import ReadRule, plain_layer
@@ -36,16 +37,19 @@ class OnnxForm:
 
 FORMS: dict[str, OnnxForm] = {
     "conv": OnnxForm(
-        {"Conv": read.conv, "ConvTranspose": read.conv_transpose, "Slice": read.pick},
+        {"Conv": read.conv, "ConvTranspose": read.conv_transpose, "Slice": arranging.cut},
         write.write_conv,
     ),
     "dense": OnnxForm({"Gemm": read.gemm, "MatMul": read.matmul}, write.write_dense),
     "batch_norm": OnnxForm(
         {
             "BatchNormalization": read.batch_norm,
-            "Add": read.add,
-            "Sum": read.add,
-            "Mul": read.multiply,
+            "Add": arranging.add,
+            "Sum": arranging.add,
+            "Mul": arranging.multiply,
+            "Sub": arranging.subtract,
+            "Neg": arranging.negative,
+            "Div": arranging.divide,
         },
         write.write_batch_norm,
     ),
@@ -57,7 +61,7 @@ FORMS: dict[str, OnnxForm] = {
     "log1p": OnnxForm({"Log": read.log}, write.write_log1p),
     "sigmoid": OnnxForm({"Sigmoid": plain_layer("sigmoid")}, plain_node("Sigmoid")),
     "tanh": OnnxForm({"Tanh": plain_layer("tanh")}, plain_node("Tanh")),
-    "silu": OnnxForm({"Mul": read.multiply}, write.write_silu),
+    "silu": OnnxForm({"Mul": arranging.multiply}, write.write_silu),
     "gelu": OnnxForm({"Gelu": read.gelu}, write.write_gelu),
     "gelu_tanh": OnnxForm({"Gelu": read.gelu}, write.write_gelu_tanh),
     "hardswish": OnnxForm({"HardSwish": plain_layer("hardswish")}, write.write_hardswish),
@@ -87,14 +91,32 @@ FORMS: dict[str, OnnxForm] = {
         plain_node("GlobalAveragePool"),
     ),
     "depth_to_space": OnnxForm(
-        {"DepthToSpace": read.depth_to_space, "Resize": read.resize, "Upsample": read.resize},
+        {"DepthToSpace": arranging.depth_to_space, "Resize": read.resize, "Upsample": read.resize},
         write.write_depth_to_space,
     ),
     "zero_pad": OnnxForm({"Pad": read.pad}, write.write_pad("constant")),
     "edge_pad": OnnxForm({"Pad": read.pad}, write.write_pad("edge")),
-    "add": OnnxForm({"Add": read.add, "Sum": read.add}, plain_node("Sum")),
-    "concat": OnnxForm({"Concat": read.concat}, plain_node("Concat", axis=1)),
-    "flatten": OnnxForm({"Flatten": read.flatten, "Reshape": read.reshape}, plain_node("Flatten")),
+    "bilinear_corners": OnnxForm(
+        {"Resize": read.resize, "Upsample": read.resize}, write.write_bilinear_corners
+    ),
+    "expand": OnnxForm({"Resize": read.resize, "Upsample": read.resize}, write.write_expand),
+    "pick": OnnxForm(
+        {
+            "Slice": arranging.cut,
+            "Split": arranging.split,
+            "Gather": arranging.gather,
+            "Transpose": arranging.transpose,
+        },
+        write.write_pick,
+    ),
+    "multiply": OnnxForm({"Mul": arranging.multiply}, plain_node("Mul")),
+    "add": OnnxForm(
+        {"Add": arranging.add, "Sum": arranging.add, "Sub": arranging.subtract}, plain_node("Sum")
+    ),
+    "concat": OnnxForm({"Concat": arranging.concat}, plain_node("Concat", axis=1)),
+    "flatten": OnnxForm(
+        {"Flatten": arranging.flatten, "Reshape": arranging.reshape}, plain_node("Flatten")
+    ),
     "heatmap_centroid": OnnxForm(
         not_read="ONNX has no such operator",
         not_written="a landmark network has no ONNX form",

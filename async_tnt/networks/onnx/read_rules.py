@@ -6,7 +6,6 @@ layers compute what the node computes, the rule raises a NotImplementedError.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -19,9 +18,8 @@ from async_tnt.networks.layers.enlarging import (
     nearest,
     transposed_convolution,
 )
-from async_tnt.networks.layers.picking import picked
 from async_tnt.networks.layers.uneven_windows import last_windows, padding_of_ceil_mode
-from async_tnt.networks.onnx.layers import Node, OnnxLayers
+from async_tnt.networks.onnx.layers import Node, OnnxLayers, without_leading_ones
 
 ReadRule = Callable[[OnnxLayers, Node], None]
 
@@ -36,13 +34,6 @@ def plain_layer(op: str) -> ReadRule:
         onnx_layers.add(node, op, node.inputs[:1])
 
     return read
-
-
-def _without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """The shape without the sides of 1 at its front, which change nothing when ONNX broadcasts."""
-    while shape[:1] == (1,):
-        shape = shape[1:]
-    return shape
 
 
 # -- with weights ----------------------------------------------------------------------------------
@@ -93,8 +84,8 @@ def resize(onnx_layers: OnnxLayers, node: Node) -> None:
         repeats |= coordinates == "half_pixel" and rounding.startswith("round_")
         expect_form(repeats, f"{coordinates} with {rounding}")
     else:
-        half_pixel = coordinates in ("half_pixel", "pytorch_half_pixel")
-        expect_form(half_pixel and not node.get("antialias", 0), f"linear with {coordinates}")
+        known = ("half_pixel", "pytorch_half_pixel", "align_corners")
+        expect_form(coordinates in known and not node.get("antialias", 0), f"linear {coordinates}")
     channels, *sides = onnx_layers.shape(node.inputs[0])
     expect_form(len(sides) == 2, "a Resize of a vector")
     is_old = node.op == "Upsample" or onnx_layers.opset < 11
@@ -109,9 +100,17 @@ def resize(onnx_layers: OnnxLayers, node: Node) -> None:
         assert scales is not None
         expect_form(scales[:2].tolist() == [1, 1], "a Resize of other than places")
         factors = [float(scale) for scale in scales[2:]]
+    if sides == [1, 1] and all(factor.is_integer() for factor in factors):
+        # the number of the only place, everywhere
+        size = [int(factor) for factor in factors]
+        onnx_layers.add(node, "expand", node.inputs[:1], size=size)
+        return
     is_whole = factors[0] == factors[1] and factors[0].is_integer()
     expect_form(is_whole, f"a Resize by {factors}, not by one whole number,")
     factor = int(factors[0])
+    if coordinates == "align_corners":
+        onnx_layers.add(node, "bilinear_corners", node.inputs[:1], block=factor)
+        return
     if mode == "nearest":
         _enlarge(onnx_layers, node, nearest(channels, factor), onnx_layers.dtype)
         return
@@ -171,7 +170,7 @@ def gemm(onnx_layers: OnnxLayers, node: Node) -> None:
         weight = weight.T
     weights = {"weight": onnx_layers.tensor(node.inputs[1], weight)}
     if bias is not None:
-        bias_shape = _without_leading_ones(bias.shape)
+        bias_shape = without_leading_ones(bias.shape)
         fits = bias.ndim <= 2 and bias_shape in ((), weight.shape[:1])
         expect_form(fits, f"a bias of shape {bias.shape}")
         unit_biases = np.broadcast_to(bias.reshape(-1), len(weight))
@@ -206,77 +205,6 @@ def batch_norm(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "batch_norm", node.inputs[:1], weights=weights, epsilon=epsilon)
 
 
-# -- sums, products, concatenations ----------------------------------------------------------------
-
-
-def add(onnx_layers: OnnxLayers, node: Node) -> None:
-    n_constants = sum(name in onnx_layers.constants for name in node.inputs)
-    if n_constants == 0:
-        onnx_layers.add(node, "add", node.inputs)
-        return
-    expect_form(
-        (len(node.inputs), n_constants) == (2, 1),
-        "a sum other than of one map and a constant, or of maps,",
-    )
-    _affine(onnx_layers, node, role="bias")
-
-
-def multiply(onnx_layers: OnnxLayers, node: Node) -> None:
-    n_constants = sum(name in onnx_layers.constants for name in node.inputs)
-    if n_constants == 0:
-        _silu(onnx_layers, node)
-        return
-    expect_form(n_constants == 1, "a product of constants")
-    _affine(onnx_layers, node, role="weight")
-
-
-def _affine(onnx_layers: OnnxLayers, node: Node, *, role: str) -> None:
-    """Add a batch norm for a node that adds a constant, or multiplies by a constant.
-
-    The constant has one number, or one for each channel.
-
-    Parameters
-    ----------
-    role : the constant's role in the batch norm: "bias" is added, "weight" multiplies.
-    """
-    (constant,) = [
-        onnx_layers.constants[name] for name in node.inputs if name in onnx_layers.constants
-    ]
-    (source,) = [name for name in node.inputs if name not in onnx_layers.constants]
-    n_channels, *sides_of_map = onnx_layers.shape(source)
-    constant_shape = _without_leading_ones(constant.shape)
-    channel_shape = (n_channels, *[1] * len(sides_of_map))
-    expect_form(constant_shape in ((), channel_shape), f"a constant of shape {constant.shape} here")
-
-    channel_values = np.broadcast_to(constant.reshape(-1), n_channels)
-    zeros = np.zeros(n_channels, channel_values.dtype)
-    tensors = {"mean": zeros, "variance": zeros + 1, role: channel_values}
-    weights = {
-        own_role: onnx_layers.tensor(f"{node.outputs[0]}.{own_role}", values)
-        for own_role, values in tensors.items()
-    }
-    onnx_layers.add(node, "batch_norm", [source], weights=weights, epsilon=0.0)
-
-
-def _silu(onnx_layers: OnnxLayers, node: Node) -> None:
-    """Add a silu for a product x sigmoid(x), which is the form that torch exports."""
-    for x, factor in (node.inputs, node.inputs[::-1]):
-        layer = onnx_layers.layer_of(factor)
-        if layer["op"] == "sigmoid" and layer["inputs"] == [onnx_layers.layer_name(x)]:
-            onnx_layers.add(node, "silu", [x])
-            return
-    raise NotImplementedError("a product of two maps has no compiled form")
-
-
-def concat(onnx_layers: OnnxLayers, node: Node) -> None:
-    axis = node.get("axis")
-    expect_form(axis in (1, -3), f"axis {axis}, not channels (1),")
-    if len(node.inputs) == 1:
-        onnx_layers.alias(node, node.inputs[0])
-        return
-    onnx_layers.add(node, "concat", node.inputs)
-
-
 # -- activations -----------------------------------------------------------------------------------
 
 
@@ -289,7 +217,7 @@ def prelu(onnx_layers: OnnxLayers, node: Node) -> None:
     if slope is None:
         raise NotImplementedError("a PRelu without slope has no compiled form")
     # The slopes of a map have the shape (C, 1, 1), because ONNX applies (C,) along the last axis.
-    slope_shape = _without_leading_ones(slope.shape)
+    slope_shape = without_leading_ones(slope.shape)
     channels, *sides_of_map = onnx_layers.shape(node.inputs[0])
     channel_shape = (channels, *[1] * len(sides_of_map))
     expect_form(slope.size == 1 or slope_shape == channel_shape, f"a slope of shape {slope.shape}")
@@ -428,69 +356,6 @@ def reduce_mean(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "global_average_pool", node.inputs[:1])
     if not node.get("keepdims", 1):
         onnx_layers.add(node, "flatten", node.outputs)
-
-
-# -- the order of numbers --------------------------------------------------------------------------
-
-
-def depth_to_space(onnx_layers: OnnxLayers, node: Node) -> None:
-    expect_form(node.get("mode", "DCR") == "CRD", "mode DCR")
-    onnx_layers.add(node, "depth_to_space", node.inputs[:1], block=node.get("blocksize"))
-
-
-def pick(onnx_layers: OnnxLayers, node: Node) -> None:
-    """Add a convolution for a Slice that takes some rows and columns, to the last."""
-    names = ("starts", "ends", "axes", "steps")
-    if onnx_layers.opset < 10:
-        parts = [node.get(name) for name in names]
-    else:
-        constants = [onnx_layers.constant(node, 1 + k) for k in range(4)]
-        parts = [None if values is None else values.tolist() for values in constants]
-    starts, ends, axes, steps = parts
-    expect_form(starts is not None and ends is not None, "a Slice without starts or ends")
-    shape = (1, *onnx_layers.shape(node.inputs[0]))
-    axes = list(range(len(starts))) if axes is None else axes
-    steps = [1] * len(starts) if steps is None else steps
-    start, step = [0, 0], [1, 1]
-    for axis, first, end, every in zip(axes, starts, ends, steps, strict=True):
-        axis %= len(shape)
-        is_whole = end >= shape[axis] and every >= 1 and 0 <= first < shape[axis]
-        is_nothing = (first, every) == (0, 1)
-        expect_form(is_whole and (is_nothing or axis >= 2), f"a Slice of axis {axis}")
-        if axis >= 2:
-            start[axis - 2] = first
-            step[axis - 2] = every
-    expect_form(len(shape) == 4, "a Slice of a vector")
-    weight, parameters = picked(shape[1], start, step)
-    name = onnx_layers.tensor(f"{node.outputs[0]}.weight", weight.astype(onnx_layers.dtype))
-    onnx_layers.add(node, "conv", node.inputs[:1], weights={"weight": name}, **parameters)
-
-
-def flatten(onnx_layers: OnnxLayers, node: Node) -> None:
-    axis = node.get("axis", 1)
-    expect_form(axis == 1, f"axis {axis}, not 1,")
-    onnx_layers.add(node, "flatten", node.inputs[:1])
-
-
-def reshape(onnx_layers: OnnxLayers, node: Node) -> None:
-    """Add a flatten for a reshape to (n, -1) or (n, m) that gives one row for each volume."""
-    target = onnx_layers.constant(node, 1)
-    shape = None if target is None else target.tolist()
-    fits = False
-    if target is not None and target.shape == (2,):
-        rows, n = target.tolist()
-        fits = _is_one_row(onnx_layers, node, rows, n)
-    expect_form(fits, f"a reshape to {shape}, not (n, -1), one row a volume,")
-    onnx_layers.add(node, "flatten", node.inputs[:1])
-
-
-def _is_one_row(onnx_layers: OnnxLayers, node: Node, rows: int, n: int) -> bool:
-    """Whether a reshape to (rows, n) gives one row for each volume."""
-    if rows == 0 and node.get("allowzero", 0):
-        return False  # with `allowzero`, 0 does not stand for the size of the batch
-    if n == -1:
-        return rows in (0, 1)
-    return rows in (-1, 0, 1) and n == math.prod(onnx_layers.shape(node.inputs[0]))
 
 
 # -- no layers -------------------------------------------------------------------------------------

@@ -174,5 +174,21 @@ def write_pad(mode: str) -> WriteRule:
     return write
 
 
+def write_bilinear_corners(nodes: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
+    sizes = nodes.constant(f"{name}.sizes", (1, *nodes.output_shape(layer)), np.int64)
+    mode = {"mode": "linear", "coordinate_transformation_mode": "align_corners"}
+    nodes.add("Resize", [*inputs, "", "", sizes], name, **mode)
+
+
+def write_expand(nodes: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
+    shape = nodes.constant(f"{name}.shape", (1, *nodes.output_shape(layer)), np.int64)
+    nodes.add("Expand", [*inputs, shape], name)
+
+
+def write_pick(nodes: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
+    indices = nodes.constant(f"{name}.channels", layer["channels"], np.int64)
+    nodes.add("Gather", [*inputs, indices], name, axis=1)
+
+
 def write_depth_to_space(nodes: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
     nodes.add("DepthToSpace", inputs, name, blocksize=layer["block"], mode="CRD")

@@ -80,4 +80,7 @@ def plain_layer(op: str) -> Rule:
 
 def same_layer(layer_list: LayerList, call: Call) -> str:
     """The rule of a call that passes its input on: it adds no layer."""
-    return layer_list.source(call["input"])
+    node = call["input"]
+    if node in layer_list.grouped:
+        layer_list.grouped[call.node] = layer_list.grouped[node]
+    return layer_list.source_of_view(node)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from tnt_reference import LayerNetwork
 from torch import fx, nn
+from torch.fx.node import map_arg
 
 from async_tnt.base.checks import ParameterTypeError
 from async_tnt.base.messages import one_line
@@ -21,8 +22,14 @@ from async_tnt.networks.layers.graph import VOLUME, ReadNetwork, layer_shapes
 from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.torch.form import TorchForm
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
-from async_tnt.networks.torch.operations import FUNCTIONS, METHODS, MODULES
+from async_tnt.networks.torch.operations import (
+    FUNCTIONS,
+    FUNCTIONS_BY_NAME,
+    METHODS,
+    MODULES,
+)
 from async_tnt.networks.torch.outputs import named_outputs
+from async_tnt.networks.torch.tracing import Tracer
 
 WAY_OUT_OF_LOGITS = (
     "; a network of logits runs whole at every decision: TorchClassifier(module), or exported to "
@@ -73,7 +80,7 @@ def layers_from_torch(module: nn.Module, shape: tuple[int, ...], prefix: str = "
     if type(module) in MODULES:
         module = nn.Sequential(module)
     try:
-        graph = _Tracer().trace(module)
+        graph = Tracer(module, shape, MODULES).trace(module)
     except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}") from None
     try:
@@ -166,13 +173,6 @@ def own_copy(module: nn.Module) -> nn.Module:
         raise NotImplementedError(f"the module cannot be copied: {one_line(error)}") from None
 
 
-class _Tracer(fx.Tracer):
-    proxy_buffer_attributes = True  # a change of a buffer is recorded, too
-
-    def is_leaf_module(self, m: nn.Module, module_qualified_name: str) -> bool:
-        return super().is_leaf_module(m, module_qualified_name) or type(m) in MODULES
-
-
 class _Conversion:
     """Reads the nodes of a trace in their order.
 
@@ -186,6 +186,8 @@ class _Conversion:
         self._module = module
         self._layer_list = layer_list
         self._position: dict[fx.Node, int] = {}
+        self._constants: dict[fx.Node, Any] = {}
+        """Node that depends on the module's own tensors alone -> its value."""
         self._tensor: dict[fx.Node, fx.Node] = {}
         """Node of an operation in place -> the first node that stands for the same tensor.
 
@@ -220,7 +222,7 @@ class _Conversion:
         refused = Refusals()
         for node in graph.nodes:
             is_call = node.op not in ("placeholder", "get_attr", "output")
-            if not is_call or _is_size(node) or _is_named_tuple(node):
+            if not is_call or _is_named_tuple(node) or self._is_constant(node):
                 continue
             try:
                 self._read(node)
@@ -298,22 +300,51 @@ class _Conversion:
     def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
         """Whether an operation that follows `after` reads the node's value.
 
-        An operation counts only if its own result is used, and if it reads more than the node's
-        size.
+        An operation counts only if its own result is used.
         """
         for user in node.users:
             is_later = self._position[user] > self._position[after]
-            is_used = user.users or user.op == "output"
-            if is_later and is_used and not _is_size(user):
+            if is_later and (user.users or user.op == "output"):
                 return True
         return False
 
+    def _is_constant(self, node: fx.Node) -> bool:
+        """Compute a call that depends on the module's own tensors alone.
+
+        Returns False, and does nothing, for another call.
+        """
+        if node.op == "call_module" or not node.all_input_nodes:
+            return False
+        if not all(self._has_tensor(one) for one in node.all_input_nodes):
+            return False
+        if _may_change_its_input(node, None):
+            return False
+        arguments = map_arg(node.args, self._tensor_of)
+        named = map_arg(node.kwargs, self._tensor_of)
+        with torch.no_grad():
+            if node.op == "call_method":
+                value = getattr(arguments[0], str(node.target))(*arguments[1:], **named)
+            else:
+                target: Any = node.target
+                value = target(*arguments, **named)
+        self._constants[node] = value
+        return True
+
+    def _has_tensor(self, node: fx.Node) -> bool:
+        return node.op == "get_attr" or node in self._constants
+
+    def _tensor_of(self, node: fx.Node) -> Any:
+        """The value of a node that does not depend on the volume."""
+        if node in self._constants:
+            return self._constants[node]
+        return operator.attrgetter(str(node.target))(self._module)
+
     def _with_tensors(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """The arguments, with the module's own tensors in place of the nodes that read them."""
+        """The arguments, with tensors in place of the nodes that do not depend on the volume."""
 
         def value(argument: Any) -> Any:
-            if isinstance(argument, fx.Node) and argument.op == "get_attr":
-                return operator.attrgetter(str(argument.target))(self._module)
+            if isinstance(argument, fx.Node) and self._has_tensor(argument):
+                return self._tensor_of(argument)
             return argument
 
         return {name: value(argument) for name, argument in arguments.items()}
@@ -327,25 +358,13 @@ class _Conversion:
         if node.op == "call_method":
             return str(target), None, METHODS.get(target)
         name = getattr(target, "__name__", str(target))
-        return name, None, FUNCTIONS.get(target)
+        full_name = f"{getattr(target, '__module__', '')}.{name}"
+        return name, None, FUNCTIONS.get(target, FUNCTIONS_BY_NAME.get(full_name))
 
 
 def _is_named_tuple(node: fx.Node) -> bool:
     """Whether a node makes a named tuple, which only the output may be."""
     return node.op == "call_function" and hasattr(node.target, "_fields")
-
-
-def _is_size(node: fx.Node) -> bool:
-    """Whether a node is x.size(...), x.shape, or a number taken from one of them.
-
-    Only the rule of views reads such nodes.
-    """
-    if node.op == "call_method" and node.target == "size":
-        return True
-    if node.op == "call_function" and node.target is getattr and node.args[1] == "shape":
-        return True
-    sizes = node.args[0] if node.target is operator.getitem else None
-    return isinstance(sizes, fx.Node) and _is_size(sizes)
 
 
 def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:

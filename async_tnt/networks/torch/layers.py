@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -45,6 +45,13 @@ class Call:
         return self.arguments.get("out")
 
 
+class Grouped(NamedTuple):
+    """How the channels of a map are arranged by a view, see `arranging.view`."""
+
+    groups: int
+    is_transposed: bool = False
+
+
 class LayerList:
     """The layers that the calls of a trace have become so far, and the weights of these layers.
 
@@ -56,6 +63,9 @@ class LayerList:
     Attributes
     ----------
     names : node -> the layer that computes the node's value.
+    parts : node whose value is a tuple -> the layers that compute the parts.
+    grouped : node that is a view of a map with its channels in groups -> the groups. Its layer
+        computes the map itself.
     """
 
     def __init__(self, shape: tuple[int, ...], prefix: str) -> None:
@@ -64,6 +74,8 @@ class LayerList:
         self.layers: list[dict[str, Any]] = []
         self.weights: dict[str, np.ndarray] = {}
         self.names: dict[fx.Node, str] = {}
+        self.parts: dict[fx.Node, list[str]] = {}
+        self.grouped: dict[fx.Node, Grouped] = {}
 
     def add(
         self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any
@@ -92,6 +104,11 @@ class LayerList:
         """
         if isinstance(node, str):
             return node
+        expect_form(node not in self.grouped, "a view of channels in groups")
+        return self.source_of_view(node)
+
+    def source_of_view(self, node: Any) -> str:
+        """`source` of a node that may be a view with its channels in groups."""
         if isinstance(node, torch.Tensor):
             raise NotImplementedError(
                 f"a constant of shape {tuple(node.shape)} here has no compiled form"
@@ -103,7 +120,8 @@ class LayerList:
     def shape(self, node: Any) -> tuple[int, ...]:
         """The shape of a node's value, (C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.weights.items()}
-        return layer_shapes(self.layers, self._volume, tensors, outputs=())[self.source(node)]
+        source = node if isinstance(node, str) else self.source_of_view(node)
+        return layer_shapes(self.layers, self._volume, tensors, outputs=())[source]
 
     def needed_for(self, outputs: Mapping[str, fx.Node]) -> ReadNetwork:
         """The layers that compute the values of some nodes, see `needed_layers`."""
@@ -128,6 +146,27 @@ class LayerList:
                 name = f"{self.prefix}{call.node.target}.{attribute}"
                 weights[role] = name
                 self.weights[name] = float_array(tensor)
+        return weights
+
+    def constants(self, call: Call, **roles: str) -> dict[str, str]:
+        """Keep arguments of a called function as weights. They must be tensors of the module.
+
+        Parameters
+        ----------
+        roles : role -> the argument's name.
+
+        Returns
+        -------
+        Role -> the tensor's name, for the arguments that are not None.
+        """
+        weights = {}
+        for role, argument in roles.items():
+            tensor = call[argument]
+            if tensor is not None:
+                expect_form(isinstance(tensor, torch.Tensor), f"a {argument} that is computed")
+                # no module's tensor has () in its name
+                weights[role] = f"{self.prefix}{call.node.name}().{role}"
+                self.weights[weights[role]] = float_array(tensor)
         return weights
 
 

@@ -14,7 +14,7 @@ from tnt_reference import heatmap_centroid
 from torch import nn
 from torch.nn import functional as F
 
-from async_tnt.networks.torch import rules
+from async_tnt.networks.torch import arranging, rules
 from async_tnt.networks.torch.form import INPLACE, TorchForm, plain_layer, same_layer
 
 
@@ -51,11 +51,44 @@ ADAPTIVE_POOL = TorchForm(
 )
 
 ADD = TorchForm(
-    rules.add,
+    arranging.add,
     functions=(torch.add, operator.add),
     methods=("add", "add_"),
     parameters={"alpha": 1},
     inputs=OPERANDS,
+)
+
+SUBTRACT = TorchForm(
+    arranging.subtract,
+    functions=(torch.sub, torch.subtract, operator.sub),
+    methods=("sub", "sub_"),
+    parameters={"alpha": 1},
+    inputs=OPERANDS,
+)
+
+MULTIPLY = TorchForm(
+    arranging.multiply,
+    functions=(torch.mul, torch.multiply, operator.mul),
+    methods=("mul", "mul_"),
+    inputs=OPERANDS,
+)
+
+INDEX = TorchForm(
+    arranging.index, functions=(operator.getitem,), parameters={"index": None}, may_share=True
+)
+
+UPSAMPLE = TorchForm(
+    rules.upsample,
+    modules=(nn.Upsample, nn.UpsamplingNearest2d, nn.UpsamplingBilinear2d),
+    functions=(F.interpolate,),
+    parameters={
+        "size": None,
+        "scale_factor": None,
+        "mode": "nearest",
+        "align_corners": None,
+        "recompute_scale_factor": None,
+        "antialias": False,
+    },
 )
 
 GELU = TorchForm(
@@ -71,12 +104,29 @@ PAD = TorchForm(
 FORMS: dict[str, tuple[TorchForm, ...]] = {
     "conv": (
         TorchForm(rules.conv, modules=(nn.Conv2d,)),
-        TorchForm(rules.conv_transpose, modules=(nn.ConvTranspose2d,)),
         TorchForm(
-            rules.index, functions=(operator.getitem,), parameters={"index": None}, may_share=True
+            rules.conv_function,
+            functions=(F.conv2d,),
+            parameters={
+                "weight": None,
+                "bias": None,
+                "stride": 1,
+                "padding": 0,
+                "dilation": 1,
+                "groups": 1,
+            },
+        ),
+        TorchForm(rules.conv_transpose, modules=(nn.ConvTranspose2d,)),
+        INDEX,
+    ),
+    "dense": (
+        TorchForm(rules.linear, modules=(nn.Linear,)),
+        TorchForm(
+            rules.linear_function,
+            functions=(F.linear,),
+            parameters={"weight": None, "bias": None},
         ),
     ),
-    "dense": (TorchForm(rules.linear, modules=(nn.Linear,)),),
     "batch_norm": (
         TorchForm(
             rules.batch_norm,
@@ -93,21 +143,11 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
             },
         ),
         ADD,
+        SUBTRACT,
+        TorchForm(arranging.negative, functions=(torch.neg, operator.neg), methods=("neg", "neg_")),
+        MULTIPLY,
         TorchForm(
-            rules.subtract,
-            functions=(torch.sub, torch.subtract, operator.sub),
-            methods=("sub", "sub_"),
-            parameters={"alpha": 1},
-            inputs=OPERANDS,
-        ),
-        TorchForm(
-            rules.multiply,
-            functions=(torch.mul, torch.multiply, operator.mul),
-            methods=("mul", "mul_"),
-            inputs=OPERANDS,
-        ),
-        TorchForm(
-            rules.divide,
+            arranging.divide,
             functions=(torch.div, torch.divide, operator.truediv),
             methods=("div", "div_"),
             parameters={"rounding_mode": None},
@@ -236,25 +276,15 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     ),
     "depth_to_space": (
         TorchForm(
-            rules.pixel_shuffle,
+            arranging.pixel_shuffle,
             modules=(nn.PixelShuffle,),
             functions=(F.pixel_shuffle, torch.pixel_shuffle),
             parameters={"upscale_factor": None},
         ),
-        TorchForm(
-            rules.upsample,
-            modules=(nn.Upsample, nn.UpsamplingNearest2d, nn.UpsamplingBilinear2d),
-            functions=(F.interpolate,),
-            parameters={
-                "size": None,
-                "scale_factor": None,
-                "mode": "nearest",
-                "align_corners": None,
-                "recompute_scale_factor": None,
-                "antialias": False,
-            },
-        ),
+        UPSAMPLE,
     ),
+    "bilinear_corners": (UPSAMPLE,),
+    "expand": (UPSAMPLE,),
     "zero_pad": (
         TorchForm(
             rules.pad_module("zero_pad"),
@@ -271,10 +301,41 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
         ),
         PAD,
     ),
-    "add": (ADD,),
+    "pick": (
+        INDEX,
+        TorchForm(
+            arranging.chunk,
+            functions=(torch.chunk,),
+            methods=("chunk",),
+            parameters={"chunks": None, "dim": 0},
+            may_share=True,
+        ),
+        TorchForm(
+            arranging.split,
+            functions=(torch.split,),
+            methods=("split",),
+            parameters={"sizes": None, "dim": 0},
+            may_share=True,
+        ),
+        TorchForm(
+            arranging.shuffle_channels,
+            modules=(nn.ChannelShuffle,),
+            functions=(torch.channel_shuffle, F.channel_shuffle),
+            parameters={"groups": None},
+        ),
+        TorchForm(
+            arranging.transpose,
+            functions=(torch.transpose,),
+            methods=("transpose",),
+            parameters={"dim0": None, "dim1": None},
+            may_share=True,
+        ),
+    ),
+    "multiply": (MULTIPLY,),
+    "add": (ADD, SUBTRACT),
     "concat": (
         TorchForm(
-            rules.concatenate,
+            arranging.concatenate,
             functions=(torch.cat, torch.concat, torch.concatenate),
             parameters={"dim": 0},
             inputs=("tensors",),
@@ -282,7 +343,7 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     ),
     "flatten": (
         TorchForm(
-            rules.flatten,
+            arranging.flatten,
             modules=(nn.Flatten,),
             functions=(torch.flatten,),
             methods=("flatten",),
@@ -290,9 +351,10 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
             may_share=True,
         ),
         TorchForm(
-            rules.view,
+            arranging.view,
+            functions=(torch.reshape,),
             methods=("view", "reshape"),
-            arguments_of=rules.view_arguments,
+            arguments_of=arranging.view_arguments,
             may_share=True,
         ),
     ),
@@ -331,5 +393,12 @@ MODULES: dict[type, TorchForm] = {module: form for form in ALL_FORMS for module 
 FUNCTIONS: dict[Any, TorchForm] = {
     function: form for form in ALL_FORMS for function in form.functions
 }
+
+STOCHASTIC_DEPTH = TorchForm(
+    rules.dropout, parameters={"p": 0.5, "mode": "row", "training": True}, may_share=True
+)
+
+FUNCTIONS_BY_NAME = {"torchvision.ops.stochastic_depth.stochastic_depth": STOCHASTIC_DEPTH}
+"""Functions of packages that are not imported here: module and name -> form."""
 
 METHODS: dict[Any, TorchForm] = {method: form for form in ALL_FORMS for method in form.methods}

@@ -1,12 +1,12 @@
-"""The rules by which calls of torch's operations become layers."""
+"""The rules by which calls of torch's operations become layers.
+
+The rules of calls that join maps, or arrange their numbers, are in `arranging`.
+"""
 
 from __future__ import annotations
 
-import operator
+from collections.abc import Mapping
 from typing import Any
-
-import torch
-from torch import fx
 
 from async_tnt.networks.layers.conversion_check import expect_form
 from async_tnt.networks.layers.enlarging import (
@@ -16,7 +16,6 @@ from async_tnt.networks.layers.enlarging import (
     nearest,
     transposed_convolution,
 )
-from async_tnt.networks.layers.picking import picked
 from async_tnt.networks.layers.uneven_windows import padding_of_ceil_mode
 from async_tnt.networks.torch.form import Rule, same_layer
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
@@ -35,27 +34,44 @@ def _pair(value: Any) -> list[int]:
 def conv(layer_list: LayerList, call: Call) -> str:
     module = call.module
     expect_form(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
+    weights = layer_list.tensors(call, weight="weight", bias="bias")
     kernel = _pair(module.kernel_size)
-    dilation = _pair(module.dilation)
-    if module.padding == "same":
+    return _conv(layer_list, call, weights, kernel, vars(module))
+
+
+def conv_function(layer_list: LayerList, call: Call) -> str:
+    """Add a convolution for F.conv2d, whose weights are tensors of the module."""
+    weights = layer_list.constants(call, weight="weight", bias="bias")
+    return _conv(layer_list, call, weights, list(call["weight"].shape[2:]), call.arguments)
+
+
+def _conv(
+    layer_list: LayerList,
+    call: Call,
+    weights: dict[str, str],
+    kernel: list[int],
+    parameters: Mapping[str, Any],
+) -> str:
+    dilation = _pair(parameters["dilation"])
+    if parameters["padding"] == "same":
         # if the padding is odd, torch puts the extra place at the end
         total_padding = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
         before = [n // 2 for n in total_padding]
         after = [n - n // 2 for n in total_padding]
         padding = before + after
-    elif module.padding == "valid":
+    elif parameters["padding"] == "valid":
         padding = [0, 0, 0, 0]
     else:
-        padding = 2 * _pair(module.padding)
+        padding = 2 * _pair(parameters["padding"])
     return layer_list.add(
         "conv",
         call,
-        weights=layer_list.tensors(call, weight="weight", bias="bias"),
+        weights=weights,
         kernel=kernel,
-        stride=_pair(module.stride),
+        stride=_pair(parameters["stride"]),
         padding=padding,
         dilation=dilation,
-        groups=module.groups,
+        groups=parameters["groups"],
     )
 
 
@@ -78,11 +94,12 @@ def conv_transpose(layer_list: LayerList, call: Call) -> str:
 def upsample(layer_list: LayerList, call: Call) -> str:
     mode = call["mode"]
     expect_form(mode in ("nearest", "nearest-exact", "bilinear"), f"mode {mode!r}")
-    expect_form(not call["align_corners"], "align_corners")
     expect_form(not call["antialias"], "antialias")
     channels, *sides = layer_list.shape(call["input"])
     expect_form(len(sides) == 2, "an upsampling of a vector")
     size = call["size"]
+    if size is not None and sides == [1, 1]:  # the number of the only place, everywhere
+        return layer_list.add("expand", call, size=_pair(size))
     if size is not None:
         factors = [wanted / side for wanted, side in zip(_pair(size), sides, strict=True)]
     else:
@@ -91,6 +108,10 @@ def upsample(layer_list: LayerList, call: Call) -> str:
     is_whole = factors[0] == factors[1] and factors[0].is_integer()
     expect_form(is_whole, f"an upsampling by {factors}, not by one whole number,")
     factor = int(factors[0])
+    if factor == 1:
+        return layer_list.source(call["input"])
+    if call["align_corners"]:
+        return layer_list.add("bilinear_corners", call, block=factor)
     if mode != "bilinear":
         return _enlarge(layer_list, call, nearest(channels, factor))
     padded = layer_list.add("edge_pad", call, padding=EDGE)
@@ -150,6 +171,12 @@ def linear(layer_list: LayerList, call: Call) -> str:
     )
 
 
+def linear_function(layer_list: LayerList, call: Call) -> str:
+    """Add a dense layer for F.linear, whose weights are tensors of the module."""
+    weights = layer_list.constants(call, weight="weight", bias="bias")
+    return layer_list.add("dense", call, weights=weights)
+
+
 def batch_norm(layer_list: LayerList, call: Call) -> str:
     module = call.module
     if module is None:
@@ -166,15 +193,9 @@ def _batch_norm_function(layer_list: LayerList, call: Call) -> str:
     """Add a batch norm for F.batch_norm, whose tensors are attributes of the module."""
     uses_statistics = call["running_mean"] is not None and not call["training"]
     expect_form(uses_statistics, "a batch norm that does not use running statistics")
-    roles = {"mean": "running_mean", "variance": "running_var", "weight": "weight", "bias": "bias"}
-    weights = {}
-    for role, argument in roles.items():
-        tensor = call[argument]
-        if tensor is None:
-            continue
-        expect_form(isinstance(tensor, torch.Tensor), f"a {argument} that is computed")
-        weights[role] = f"{layer_list.prefix}{call.node.name}().{role}"
-        layer_list.weights[weights[role]] = float_array(tensor)
+    weights = layer_list.constants(
+        call, mean="running_mean", variance="running_var", weight="weight", bias="bias"
+    )
     return layer_list.add("batch_norm", call, weights=weights, epsilon=float(call["eps"]))
 
 
@@ -272,165 +293,7 @@ def mean(layer_list: LayerList, call: Call) -> str:
     return layer_list.add("flatten", call, [pooled])
 
 
-# -- sums, products, concatenations ----------------------------------------------------------------
-
-
-def add(layer_list: LayerList, call: Call) -> str:
-    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
-    x, constant = _with_constant(call)
-    if constant is None:
-        return layer_list.add("add", call, [call["input"], call["other"]])
-    return _affine(layer_list, call, x, bias=constant)
-
-
-def subtract(layer_list: LayerList, call: Call) -> str:
-    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
-    x, constant = _with_constant(call)
-    if constant is None or x is not call["input"]:
-        raise NotImplementedError(
-            "a difference other than a map less a constant has no compiled form"
-        )
-    return _affine(layer_list, call, x, bias=-constant)
-
-
-def multiply(layer_list: LayerList, call: Call) -> str:
-    x, constant = _with_constant(call)
-    if constant is None:
-        raise NotImplementedError("a product of two maps has no compiled form")
-    return _affine(layer_list, call, x, weight=constant)
-
-
-def divide(layer_list: LayerList, call: Call) -> str:
-    x, constant = _with_constant(call)
-    if constant is None or x is not call["input"] or call.arguments.get("rounding_mode"):
-        raise NotImplementedError("a quotient other than a map by a constant has no compiled form")
-    return _affine(layer_list, call, x, weight=1 / constant)
-
-
-def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
-    """The operand that is computed from the volume, and the other one if it is a constant.
-
-    The second value is None if the other operand is computed from the volume, too.
-    """
-    x = call["input"]
-    other = call["other"]
-    if isinstance(other, fx.Node):
-        x, other = other, x
-    if isinstance(other, (int, float)):
-        return x, torch.tensor(float(other), dtype=torch.float64)
-    if isinstance(other, torch.Tensor):
-        return x, other.detach()
-    return x, None
-
-
-def _affine(layer_list: LayerList, call: Call, x: Any, **constants: torch.Tensor) -> str:
-    """Add a batch norm that adds a constant `bias` to x, or multiplies x by a constant `weight`.
-
-    The constant has one number, or one for each channel. Returns the name of the layer.
-    """
-    constants |= {"mean": torch.zeros(1), "variance": torch.ones(1)}
-    channels, *sides = layer_list.shape(x)
-    channel_shape = [channels, *[1] * len(sides)]
-    weights = {}
-    for role, values in constants.items():
-        shape = list(values.shape)
-        while shape[:1] == [1]:
-            del shape[0]
-        expect_form(shape in ([], channel_shape), f"a constant of shape {list(values.shape)} here")
-        name = (
-            f"{layer_list.prefix}{call.node.name}().{role}"  # no module's tensor has () in its name
-        )
-        weights[role] = name
-        layer_list.weights[name] = float_array(values.reshape(-1).expand(channels))
-    return layer_list.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
-
-
-def concatenate(layer_list: LayerList, call: Call) -> str:
-    axis = call["dim"]
-    expect_form(axis in (1, -3), f"a concatenation along axis {axis}, not of channels (1),")
-    expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
-    if len(call["tensors"]) == 1:
-        return layer_list.source(call["tensors"][0])
-    return layer_list.add("concat", call, call["tensors"])
-
-
-# -- the order of numbers --------------------------------------------------------------------------
-
-
-def pixel_shuffle(layer_list: LayerList, call: Call) -> str:
-    return layer_list.add("depth_to_space", call, block=call["upscale_factor"])
-
-
-def index(layer_list: LayerList, call: Call) -> str:
-    """Add a convolution for x[..., a::m, b::n]."""
-    channels, *sides = layer_list.shape(call["input"])
-    given = call["index"] if isinstance(call["index"], tuple) else (call["index"],)
-    n_axes = 2 + len(sides)
-    if Ellipsis in given:
-        place = given.index(Ellipsis)
-        left_out = [slice(None)] * (n_axes - len(given) + 1)
-        given = (*given[:place], *left_out, *given[place + 1 :])
-    slices = [*given, *[slice(None)] * (n_axes - len(given))]
-    is_known = len(slices) == 4 and all(_is_slice_to_the_end(part) for part in slices)
-    expect_form(is_known, f"the index {given}")
-    start = [part.start or 0 for part in slices]
-    step = [part.step or 1 for part in slices]
-    is_inside = all(first < side for first, side in zip(start[2:], sides, strict=True))
-    is_of_places = start[:2] == [0, 0] and step[:2] == [1, 1]
-    expect_form(is_of_places and is_inside, f"the index {given}")
-    weight, parameters = picked(channels, start[2:], step[2:])
-    # no module's tensor has () in its name
-    name = f"{layer_list.prefix}{call.node.name}().weight"
-    layer_list.weights[name] = weight
-    return layer_list.add("conv", call, weights={"weight": name}, **parameters)
-
-
-def _is_slice_to_the_end(part: Any) -> bool:
-    """Whether an index is a slice like 1::2, without an end and of whole numbers."""
-    if not isinstance(part, slice) or part.stop is not None:
-        return False
-    start_fits = part.start is None or (isinstance(part.start, int) and part.start >= 0)
-    return start_fits and (part.step is None or (isinstance(part.step, int) and part.step >= 1))
-
-
-def flatten(layer_list: LayerList, call: Call) -> str:
-    first = call["start_dim"]
-    last = call["end_dim"]
-    is_whole = (first, last) == (1, -1)
-    expect_form(is_whole, f"a flatten from axis {first} to {last}, not from 1 to -1,")
-    return layer_list.add("flatten", call)
-
-
-def view(layer_list: LayerList, call: Call) -> str:
-    """Add a flatten for x.view(n, m), where n is the batch size, 1 or -1, and m a whole number.
-
-    `check_torch_layers` finds out whether m fits.
-    """
-    shape = call["shape"]
-    n, m = shape if len(shape) == 2 else (None, None)
-    is_one_row = n in (1, -1) or _is_batch_size(n)
-    expect_form(isinstance(m, int) and is_one_row, "a view other than (n, -1), one row a volume,")
-    return layer_list.add("flatten", call)
-
-
-def view_arguments(node: fx.Node) -> dict[str, Any]:
-    """The shape of a view, which may be given as numbers, as a list, or by name."""
-    shape = node.args[1:] or tuple(node.kwargs.values())
-    if isinstance(shape[0], (tuple, list)):
-        shape = tuple(shape[0])
-    return {"input": node.args[0], "shape": shape}
-
-
-def _is_batch_size(node: Any) -> bool:
-    """Whether a node is x.size(0), x.size()[0] or x.shape[0]."""
-    if not isinstance(node, fx.Node):
-        return False
-    if node.target is operator.getitem:
-        sizes, index = node.args
-        if not isinstance(sizes, fx.Node) or index != 0:
-            return False
-        return sizes.target is getattr or len(sizes.args) == 1
-    return node.target == "size" and list(node.args[1:]) == [0]
+# -- passed on -------------------------------------------------------------------------------------
 
 
 def dropout(layer_list: LayerList, call: Call) -> str:
