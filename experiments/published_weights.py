@@ -6,7 +6,7 @@ WEIGHTS are files that `examples/nir_cnn.py` converts, which also says what wind
 recordings are decided. N-MNIST is a folder of either layout that `experiments.official_test` takes.
 Evaluated are the official test recordings that are there, and the output says how many these are.
 
-FILE keeps the results of other files of weights. All recordings take a core a minute a file.
+FILE keeps the results of other files of weights. All recordings take a core some 20 seconds a file.
 """
 
 from __future__ import annotations
