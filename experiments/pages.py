@@ -20,6 +20,7 @@ from experiments.tables import accuracy, datasets, decisions, differences, secti
 
 SHORT = (
     accuracy.accuracy,
+    accuracy.published_weights,
     datasets.cars_in_short,
     decisions.speed,
     thesis.unseen_motion,

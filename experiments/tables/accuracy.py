@@ -156,6 +156,19 @@ def polarity(report: dict[str, Any]) -> str:
     return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
 
 
+@of_report("published_weights")
+def published_weights(report: dict[str, Any]) -> str:
+    """A table of the accuracies of others' networks, from their weights, beside published ones."""
+    rows = []
+    for name, row in report.items():
+        shares = [
+            f"{row[share]:.3f} of {row[number]:,}".replace("0.", ".", 1)
+            for share, number in (("window_accuracy", "windows"), ("accuracy", "recordings"))
+        ]
+        rows.append([f"`{name}`", *shares, row["published"]])
+    return table(["weights", "windows right", "recordings right", "published"], rows)
+
+
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
     """Test of other motions -> the share of the gap that re-synthesis closes.
 
