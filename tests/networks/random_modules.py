@@ -243,6 +243,17 @@ class _Builder:
                 self.pick(nn.ZeroPad2d, nn.ReplicationPad2d)(self.pick(1, (0, 1, 2, 0)))
             ),
             lambda: lambda m, x: F.interpolate(x, scale_factor=2),
+            lambda: (
+                lambda m, x: F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
+            ),
+            lambda: lambda m, x: x * torch.sigmoid(x.mean((2, 3), keepdim=True)),
+            lambda: lambda m, x: F.interpolate(x.mean((2, 3), keepdim=True), size=x.shape[2:]),
+            lambda: lambda m, x: x[:, ::2].contiguous(),
+            lambda: lambda m, x: x[:, -1:, 1:].clone(),
+            lambda: lambda m, x: _shuffled(torch.cat([x, x], 1)),
+            lambda: lambda m, x: torch.cat(torch.cat([x, x], 1).chunk(2, 1)[::-1], 1),
+            lambda: lambda m, x: x - x[:, :1],
+            lambda: lambda m, x: 1 - x,
             lambda: lambda m, x: torch.cat([x], 1).clone(),
             lambda: lambda m, x: x[..., ::2, :].contiguous(),
             lambda: lambda m, x: x[:, :, 1:, ::2].contiguous(),
@@ -266,6 +277,8 @@ class _Builder:
             )
         return self.pick(
             lambda m, x, y: x + y,
+            lambda m, x, y: x * torch.tanh(y),
+            lambda m, x, y: torch.sub(x, y),
             lambda m, x, y: torch.cat([x, y], 1),
             lambda m, x, y: torch.cat(tensors=(x, y), dim=1),
             lambda m, x, y: torch.add(x, y, alpha=alpha),
@@ -315,6 +328,13 @@ class _Builder:
             self.add(self.part(nn.Linear(shape[0], N_CLASSES)), len(self.shapes) - 1)
             if self.chance(0.2):
                 self.add(self.unused(), len(self.shapes) - 1, result=False)
+
+
+def _shuffled(x):
+    """A channel shuffle, as ShuffleNet spells it."""
+    n, channels, rows, columns = x.shape
+    groups = x.view(n, 2, channels // 2, rows, columns).transpose(1, 2).contiguous()
+    return groups.view(n, -1, rows, columns)
 
 
 def _iadd(x, y):

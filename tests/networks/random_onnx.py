@@ -209,13 +209,40 @@ class _Builder:
             inputs.append(self.constant(np.array([2], np.int64)))
         self.node("Slice", *inputs)
 
+    def arrange(self) -> None:
+        """Some channels, or all in another order."""
+        n = self.shape[0]
+        choice = self.pick("gather", "split", "shuffle")
+        if choice == "gather":
+            indices = self.rng.integers(-n, n, int(self.rng.integers(1, 7)))
+            axis = 2 if self.chance(0.1) else 1
+            self.node("Gather", self.constant(indices.astype(np.int64)), axis=axis)
+        elif choice == "split":
+            sizes = [n - n // 2, n // 2] if n > 1 else [1]
+            axis = 2 if self.chance(0.1) else self.pick(1, -3)
+            if self.opset < 13:
+                self.node("Split", n_outputs=len(sizes), axis=axis, split=sizes)
+            else:
+                given = self.constant(np.int64(sizes))
+                self.node("Split", given, n_outputs=len(sizes), axis=axis)
+            self.value = self.pick(*self.nodes[-1].output)
+        else:
+            self.node("Concat", self.value, axis=1)
+            rows, columns = self.shape[1:]
+            self.node("Reshape", self.constant(np.int64([1, 2, n, rows, columns])))
+            perm = [0, 1, 2, 4, 3] if self.chance(0.1) else [0, 2, 1, 3, 4]
+            self.node("Transpose", perm=perm)
+            self.node("Reshape", self.constant(np.int64([self.pick(1, -1), 2 * n, rows, columns])))
+
     def affine(self) -> None:
         n = self.shape[0]
         rest = [1] * (len(self.shape) - 1)
         shape = self.pick((), (1,), (n, *rest), (1, n, *rest), (1,) * 4)
         if self.chance(0.3):
             shape = self.pick((self.shape[-1],), (1, 1, 1, n, *rest), (2, n, *rest))
-        self.node(self.pick("Add", "Mul"), self.weights(*shape))
+        if self.chance(0.2):
+            self.node("Neg")
+        self.node(self.pick("Add", "Mul", "Sub", "Div"), self.weights(*shape))
 
     def function(self) -> None:
         before = self.value
@@ -263,7 +290,10 @@ class _Builder:
         before = self.value
         self.activation()
         if self.pick(True, False):
-            self.node(self.pick("Add", "Sum"), before)
+            self.node(self.pick("Add", "Sum", "Sub"), before)
+        elif self.pick(True, False):
+            self.node("Tanh")
+            self.node("Mul", before)
         else:
             self.node("Concat", before, axis=self.pick(1, 1, 1, -3, 2))
 
@@ -388,7 +418,9 @@ def _pools_otherwise(of: _Of) -> bool:
 
 
 def _reshapes_otherwise(of: _Of) -> bool:
-    """Whether a node reshapes to anything but one row for each volume."""
+    """Whether a node reshapes to anything but one row for each volume, or a shuffle."""
+    if of.constants[0].size > 2:
+        return False
     rows, n = of.constants[0].tolist()
     one_row = [-1, int(np.prod(of.source[1:]))]
     if rows == 0 and of.get("allowzero", 0) == 1:
@@ -412,20 +444,24 @@ def _pads_as_no_layer(of: _Of) -> bool:
     return of.get("mode", "constant") == "reflect" or any(pads[:2])
 
 
-def _slices_otherwise(of: _Of) -> bool:
-    numbers = [*of.get("starts", []), *of.get("ends", [])]
-    numbers += [int(constant[0]) for constant in of.constants[:2]]
-    return -1 in numbers or 3 in numbers
+def _takes_nothing(of: _Of) -> bool:
+    """Whether a Slice takes no row or column."""
+    numbers = [*of.get("starts", []), *of.get("ends", []), *of.get("axes", [])]
+    numbers += [int(constant[0]) for constant in of.constants[:3]]
+    first, end, axis = numbers
+    return len(of.source) == 4 and not len(range(of.source[axis])[first:end])
 
 
 GAPS = {
     "Conv": lambda of: _pads_otherwise(of) or of.get("kernel_shape", []) == [3, 2],
     "MaxPool": _pools_otherwise,
     "AveragePool": _pools_otherwise,
-    "DepthToSpace": lambda of: of.get("mode", "DCR") == "DCR",
     "ConvTranspose": lambda of: of.get("strides", [1, 1]) == [1, 2],
     "Pad": _pads_as_no_layer,
-    "Slice": _slices_otherwise,
+    "Slice": _takes_nothing,
+    "Gather": lambda of: of.get("axis", 0) != 1,
+    "Split": lambda of: of.get("axis", 0) not in (1, -3),
+    "Transpose": lambda of: list(of.get("perm", [])) != [0, 2, 1, 3, 4],
     "Resize": _grows_otherwise,
     "Upsample": _grows_otherwise,
     "Concat": lambda of: of.get("axis", 0) not in (1, -3),
@@ -440,7 +476,7 @@ GAPS = {
     "Softmax": lambda of: of.get("axis", 1) == 0 or len(of.source) == 4,
 }
 """Operation -> the forms of it that have no layer."""
-BY_CHANNEL = "Add", "Mul", "PRelu", "BatchNormalization"
+BY_CHANNEL = "Add", "Mul", "Sub", "Div", "Neg", "PRelu", "BatchNormalization"
 """Operations with a number for each channel."""
 
 
@@ -496,10 +532,10 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
 
 def _has_other_constants(of: _Of) -> bool:
     """Whether a constant has another type, or neither one number nor one for each channel."""
-    whole = "Constant", "Reshape", "ReduceMean", "Dropout"
+    whole = "Constant", "Reshape", "ReduceMean", "Dropout", "Pad", "Slice", "Gather", "Split"
     if of.op not in whole and any(constant.dtype != np.float32 for constant in of.constants):
         return True
-    if of.op not in ("Add", "Sum", "Mul", "PRelu") or not of.constants:
+    if of.op not in ("Add", "Sum", "Sub", "Mul", "Div", "PRelu") or not of.constants:
         return False
     sides = list(of.constants[0].shape)
     while sides[:1] == [1]:
@@ -521,6 +557,7 @@ def random_onnx(seed: int) -> onnx.ModelProto:
         builder.grow,
         builder.frame,
         builder.every,
+        builder.arrange,
     )
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value

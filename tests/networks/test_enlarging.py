@@ -168,11 +168,9 @@ class Indexed(nn.Module):
 @pytest.mark.parametrize(
     "module, reason",
     [
-        (Indexed((slice(None), slice(0, 2))), "the index"),
-        (Indexed((slice(None), slice(None, None, 2))), "the index"),
-        (Indexed((..., slice(-2, None))), "the index"),
+        (Indexed((slice(None), [0, 2])), "the index"),
+        (Indexed((..., 1, slice(None))), "the index"),
         (nn.Upsample(scale_factor=2, mode="bicubic"), "mode 'bicubic'"),
-        (nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True), "align_corners"),
         (nn.ZeroPad2d(-1), "a padding of"),
         (nn.ConstantPad2d(1, 2.0), "with a value"),
         (nn.Upsample(scale_factor=1.5), "not by one whole number"),

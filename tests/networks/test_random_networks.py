@@ -29,7 +29,7 @@ from async_tnt.networks.layers.graph import layer_shapes
 from async_tnt.networks.onnx.operations import RULES
 from async_tnt.sources import sample_recordings
 
-CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "300"))
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "400"))
 OF_MODULES = TNTConfig(sensor=(11, 12), grid=(11, 12), bins=3)
 KNOWN_GAPS = (
     "a factor alpha has no|is a flattened map: a dense layer|ceil_mode with padding that counts"
@@ -130,6 +130,10 @@ def test_a_module_that_is_accepted_is_right():
     assert accepted > CASES // 3
 
 
+SMALL = 1e-7
+"""A difference that counts for nothing: numbers of a size of 1 may cancel each other."""
+
+
 def check_raw_outputs(module: torch.nn.Module, volumes: list[np.ndarray], seed: int) -> None:
     """The raw outputs are those of the reference, also inside the network."""
     model = with_inner_outputs(Model.from_torch(module, OF_MODULES), seed)
@@ -137,7 +141,8 @@ def check_raw_outputs(module: torch.nn.Module, volumes: list[np.ndarray], seed: 
     rounded = torch_outputs(model, volumes, torch.float32)
     found = compiled_outputs(model, volumes)
     for name, one, expected, in_float32 in zip(model.outputs, found, wanted, rounded, strict=True):
-        bound = max(1e-4 * np.abs(expected).max(), 4 * np.abs(in_float32 - expected).max())
+        own_error = np.abs(in_float32 - expected).max()
+        bound = max(1e-4 * np.abs(expected).max(), 4 * own_error, SMALL)
         assert np.abs(one - expected).max() <= bound, (seed, name)
 
 

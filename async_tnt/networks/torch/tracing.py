@@ -50,10 +50,22 @@ class ShapedProxy(fx.Proxy):
             return self.value.dim()
         return self.tracer.create_proxy("call_method", "dim", (self,), {})
 
+    def __len__(self) -> int:
+        """The number of parts, or the first side of a tensor."""
+        if self.value is None:
+            return super().__len__()
+        return len(self.value)
+
+    def __getitem__(self, index: Any) -> Any:
+        """A part of a tensor or tuple, or several parts of a tuple."""
+        if isinstance(self.value, (tuple, list)) and isinstance(index, slice):
+            return tuple(self)[index]
+        return self.tracer.create_proxy("call_function", operator.getitem, (self, index), {})
+
     def __iter__(self) -> Iterator[Any]:
         """The parts of a tuple, as `chunk` returns one."""
         if isinstance(self.value, (tuple, list)):
-            return iter([operator.getitem(self, k) for k in range(len(self.value))])
+            return iter([self[k] for k in range(len(self.value))])
         return super().__iter__()
 
 
