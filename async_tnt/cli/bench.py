@@ -16,9 +16,10 @@ import numpy as np
 from async_tnt.base.package import __version__
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import model_of
-from async_tnt.cli.output import say
+from async_tnt.cli.output import reach_text, say
 from async_tnt.kernels.shipped import state_of_kernels
 from async_tnt.networks.models.compiled import CompiledRegressor
+from async_tnt.networks.models.compiled_network import compiled_network_of
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.nmnist import SENSOR as SAMPLE_SENSOR
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -35,6 +36,7 @@ Measure on this machine, warm and on one thread:
 
   - how long an event takes on its way into the volume,
   - how long a decision takes, 1, 100 and 1,300 events after the previous decision,
+    beside a pass through the whole network, and what one event reaches,
   - how many decisions a second are possible, with one after every event.
 
 The events are those of the bundled recordings. They are spread over the model's sensor,
@@ -52,6 +54,8 @@ ROUNDS = 50
 """How often all windows are pushed into the volume."""
 N_MOMENTS = 50
 """Number of decisions that are timed in each recording."""
+N_PASSES = 5
+"""Number of passes through the whole network on each recording."""
 N_EVENTS = 2000
 """Number of events of each recording that are pushed with a decision after every event."""
 
@@ -72,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
     model = model_of(args.model)
     recordings, origin = _recordings_for(model.config.sensor)
     report: dict[str, Any] = {}
-    with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
+    with progress(len(NEW_EVENTS) + 3, "compiling") as bar:
         warmup(model)
         bar.update(title="events into the volume")
         report["ns_an_event"] = _spread(_volume_ns(model, recordings))
@@ -81,9 +85,13 @@ def main(args: argparse.Namespace) -> int:
         for n_new in NEW_EVENTS:
             report["us_a_decision"][str(n_new)] = _spread(_decision_us(model, recordings, n_new))
             bar.update()
+        report["us_a_whole_pass"] = _spread(_whole_pass_us(model, recordings))
+        bar.update()
         rates = _decisions_a_second(model, [events[:N_EVENTS] for events in recordings])
         report["decisions_a_second"] = _spread(rates)
 
+    work = model.work_of_one_event
+    report["multiplications"] = {"one_event": work.touched, "whole_pass": work.whole}
     report["machine"] = machine()
     report["kernels"] = state_of_kernels()
     report["model"] = {
@@ -96,7 +104,7 @@ def main(args: argparse.Namespace) -> int:
     if args.json:
         say(json.dumps(report))
     else:
-        say(*_lines(report))
+        say(*_lines(report), f"one event {reach_text(work)}")
     return 0
 
 
@@ -168,6 +176,22 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
             processor.fire()
             yield 1e6 * (time.perf_counter() - started)
             n_pushed = n_at_call
+
+
+def _whole_pass_us(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
+    """Yield the microseconds of passes through the whole network, on each recording's window."""
+    network = compiled_network_of(model)
+    processor: Processor[Any] = Processor(model)
+    for events in recordings:
+        processor.reset()
+        in_window = events["t"] < events["t"][0] + model.config.window_us
+        processor.push(events[in_window][: model.config.window_events])
+        volume = processor.volume().copy()
+        volume.flags.writeable = False
+        for _ in range(N_PASSES):
+            started = time.perf_counter()
+            network(volume)
+            yield 1e6 * (time.perf_counter() - started)
 
 
 def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
@@ -244,6 +268,7 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
     for n_new, spread in report["us_a_decision"].items():
         events = "event" if n_new == "1" else "events"
         rows[f"us a decision, {int(n_new):,} new {events}"] = spread
+    rows["us a pass through the whole network"] = report["us_a_whole_pass"]
     rows["decisions a second, one after every event"] = report["decisions_a_second"]
     for title, spread in rows.items():
         n_decimals = 0 if spread["median"] >= 1000 else 1

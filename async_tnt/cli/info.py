@@ -14,7 +14,7 @@ from typing import Any
 from async_tnt.base.files import user_path
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import SUFFIXES_TEXT, add_reading, reading_of, sample_or_path, size_of
-from async_tnt.cli.output import can_print, complain, message_of, say
+from async_tnt.cli.output import can_print, complain, message_of, reach_text, say
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.labelled_recordings import recordings_under
@@ -211,6 +211,7 @@ def _model_report(model: Model) -> dict[str, Any]:
         },
         "weights": sum(weights.size for weights in model.weights.values()),
         "multiplications": model.multiplications,
+        "multiplications_of_one_event": model.work_of_one_event.touched,
         "map": None if model.places is None else model.logits_shape[1:],
         "record": model.record,
     }
@@ -247,6 +248,7 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
     yield f"  network    {layers}"
     multiplications = f"{report['multiplications']:,} multiplications a complete window"
     yield f"  cost       {report['weights']:,} weights, {multiplications}"
+    yield f"  one event  {reach_text(model.work_of_one_event)}"
     if model.places is not None:
         yield f"  decides    objects, at {report['map'][1]}x{report['map'][0]} places of the sensor"
     for key, value in model.record.items():

@@ -16,6 +16,7 @@ from async_tnt.streaming.decision import Decision
 from async_tnt.streaming.output import Output
 
 if TYPE_CHECKING:
+    from async_tnt.networks.layers.reach import Work
     from async_tnt.sources.queues.background_reader import BackgroundReader
 
 
@@ -45,6 +46,19 @@ def can_print(text: str, stream: TextIO) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+MUCH = 1 / 3
+"""The share of a whole pass that one event reaches, from which on nothing is gained by events."""
+
+
+def reach_text(work: Work) -> str:
+    """What one event makes a network do again, and what to expect of it, in words."""
+    share = f"{work.share:.0%}" if work.share >= 0.01 else f"{work.share:.1%}"
+    text = f"reaches at most {work.touched:,} multiplications, {share} of a whole pass"
+    if work.share > MUCH:
+        text += ": a decision after each event costs about as much as a whole pass"
+    return text
 
 
 # -- errors ----------------------------------------------------------------------------------------

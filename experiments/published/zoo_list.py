@@ -165,7 +165,7 @@ SEGMENTATION = (
 SIDE = 64
 """Width and height of the input of networks from libraries."""
 
-SIDES = {"alexnet": 96, "inception_v3": 96, "vit_b_16": 224}
+SIDES = {"alexnet": 96, "inception_v3": 96, "vit_b_16": 224, "PAN/resnet18": 128}
 """Network of a library that needs a larger input -> its width and height."""
 
 

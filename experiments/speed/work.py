@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from async_tnt import CompiledClassifier
+from async_tnt import CompiledClassifier, CompiledNetwork
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.target import LANES
 
@@ -23,7 +23,7 @@ class StepWork(NamedTuple):
     """Number of multiplications at each place. A plain sum or mean has none."""
 
 
-def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
+def work_of(network: CompiledClassifier | CompiledNetwork) -> list[tuple[StepWork, int]]:
     """The steps of a network, each with the number of places that the last call computed."""
     program = network.network.program
     weights = network.network.weights
@@ -43,6 +43,8 @@ def _products(record: list[int], weights: np.ndarray) -> int:
     n_runs = record[P.N_RUNS]
     if record[P.KIND] == P.MIX:
         return n_runs * record[P.RUN_LENGTH] * channels * record[P.GROUPS]
+    if record[P.KIND] == P.PRODUCT:
+        return channels
     if record[P.KIND] != P.SUM:
         return 0
     size = -(-channels // LANES) * LANES  # channels are stored in whole vectors

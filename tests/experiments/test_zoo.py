@@ -31,7 +31,10 @@ def test_networks_of_event_cameras_compute_something_of_usual_size(name):
 def test_small_networks_are_accepted_from_torch_and_onnx(name):
     pytest.importorskip("onnx")
     numbers = zoo.tried(ENTRIES[name])
-    assert (numbers["torch"], numbers["onnx"]) == ("", "")
+    assert (numbers["torch"], numbers["onnx"], numbers["wrong_bits"]) == ("", "", 0)
+    assert numbers["deviation"] <= max(1e-4, 4 * numbers["own_deviation"])
+    if "speed" in numbers:
+        assert 0 < numbers["speed"]["share"] < 1 and numbers["speed"]["ratio"] > 0
 
 
 def test_a_refused_network_has_its_reason_in_one_line():
@@ -46,7 +49,7 @@ def test_a_run_goes_on_where_it_was_interrupted(monkeypatch, tmp_path, capsys):
         tried.append(entry.name)
         if len(tried) == 3:
             raise KeyboardInterrupt
-        return {"torch": "", "onnx": "no such operator"}
+        return {"torch": "", "onnx": "no such operator", "wrong_bits": 0, "deviation": 1e-7}
 
     monkeypatch.setattr(zoo, "tried", counted)
     monkeypatch.setattr(zoo, "entries", lambda: tuple(ENTRIES.values())[:4])
@@ -55,4 +58,4 @@ def test_a_run_goes_on_where_it_was_interrupted(monkeypatch, tmp_path, capsys):
         zoo.main(words)
     assert zoo.main(words) == 0
     assert tried == [*list(EVENTS)[:3], *list(EVENTS)[2:4]]
-    assert "4 networks: 4 accepted from torch, 0 from ONNX" in capsys.readouterr().out
+    assert "4 networks: 4 accepted from torch, 0 from ONNX, 0 from both" in capsys.readouterr().out

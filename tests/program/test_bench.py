@@ -135,6 +135,7 @@ def test_figures_stand_in_their_rows(monkeypatch, program):
     values = [1.0, 2.0, 3.0, 4.0, 5.0]
     monkeypatch.setattr(bench, "_volume_ns", lambda *_: values)
     monkeypatch.setattr(bench, "_decision_us", lambda *given: [n * given[2] for n in values])
+    monkeypatch.setattr(bench, "_whole_pass_us", lambda *_: [10.0 * n for n in values])
     monkeypatch.setattr(bench, "_decisions_a_second", lambda *_: [7.0 * n for n in values])
     report = json.loads(program("bench", "--json")[1])
     assert report["kernels"] == state_of_kernels()

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from async_tnt.base.messages import one_line
+from async_tnt.base.progress import progress
 
 TOLERANCE = 1e-4
 """The largest difference that is accepted, as a share of a volume's largest number."""
+
+LONG_S = 10.0
+"""Seconds after which only the volumes of `FIRST` are compared."""
+
+FIRST = (0, 1, 2)
+"""The volumes that are compared in any case: any numbers, sparse counts, and an object's events."""
 
 Function = Callable[[np.ndarray], Sequence[np.ndarray]]
 """Volume (C, H, W) -> the numbers of each output."""
@@ -24,7 +32,9 @@ def expect_form(condition: bool, what: str) -> None:
 def compare(
     original: Function, layers: Function, shape: tuple[int, ...], tolerance: float = TOLERANCE
 ) -> None:
-    """Compare a network with the layers that were read from it, on all of `volumes_to_compare`.
+    """Compare a network with the layers that were read from it, on `volumes_to_compare`.
+
+    Where passes are long, volumes other than the `FIRST` are left out after `LONG_S` seconds.
 
     Parameters
     ----------
@@ -39,7 +49,15 @@ def compare(
         the network fails on a volume.
     """
     volumes = list(volumes_to_compare(shape))
-    pairs_of_volumes = [_numbers_of_both(original, layers, volume) for volume in volumes]
+    pairs_of_volumes = []
+    started_s = time.monotonic()
+    with progress(len(volumes), "comparing the layers") as bar:
+        for place, volume in enumerate(volumes):
+            is_long = time.monotonic() - started_s > LONG_S
+            if place not in FIRST and is_long:
+                continue
+            pairs_of_volumes.append(_numbers_of_both(original, layers, volume))
+            bar.update()
     for pairs in zip(*pairs_of_volumes, strict=True):
         _compare_output(pairs, tolerance)
 
@@ -91,20 +109,22 @@ def _largest_finite(numbers: np.ndarray) -> float:
 def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
     """The volumes on which a network and its layers are compared, (C, H, W), float32.
 
-    Two volumes hold normally distributed numbers, and two hold sparse counts. One holds sparse
-    counts times 100, one only negative numbers, and one only zeros. The last one holds counts that
-    are dense in one corner, like the events of an object.
+    The first one holds normally distributed numbers, the second one sparse counts, and the third
+    one counts that are dense in one corner, like the events of an object. Then follow further
+    normally distributed numbers and sparse counts, sparse counts times 100, only negative numbers,
+    and only zeros.
     """
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(2, *shape)).astype(np.float32)
     absolute_counts = rng.poisson(0.05, (2, *shape))
     counts = (absolute_counts * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
-    yield from normal
-    yield from counts
+    corner = np.zeros(shape, np.float32)
+    corner[:, : 1 + shape[1] // 2, : 1 + shape[2] // 2] = 1
+    yield normal[0]
+    yield counts[0]
+    yield 3 * rng.poisson(2.0, shape).astype(np.float32) * corner
+    yield normal[1]
+    yield counts[1]
     yield 100 * counts[0]
     yield -np.abs(normal[0])
     yield np.zeros(shape, np.float32)
-
-    corner = np.zeros(shape, np.float32)
-    corner[:, : 1 + shape[1] // 2, : 1 + shape[2] // 2] = 1
-    yield 3 * rng.poisson(2.0, shape).astype(np.float32) * corner

@@ -24,6 +24,7 @@ from async_tnt.networks.layers.graph import (
     tensors_of,
 )
 from async_tnt.networks.layers.layer import Shape
+from async_tnt.networks.layers.reach import Work, work_of_one_event
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
 from async_tnt.volume.config import TNTConfig
@@ -252,6 +253,19 @@ class Model:
                 weight = self.weights[layer["weights"]["weight"]]
                 n += math.prod(shapes[layer["name"]]) * math.prod(weight.shape[1:])
         return n
+
+    @property
+    def work_of_one_event(self) -> Work:
+        """The multiplications that one event reaches, at most, and those of a whole pass."""
+        config = self.config
+        is_on_pixels = config.grid == config.sensor and config.transform == "none"
+        return work_of_one_event(
+            self.network[CLASSIFIER],
+            config.shape,
+            self.weights,
+            list(self.outputs.values()) or None,
+            n_pixels=1 if is_on_pixels else 2,
+        )
 
     @property
     def _shapes(self) -> dict[str, Shape]:

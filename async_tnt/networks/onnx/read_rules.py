@@ -339,9 +339,13 @@ def _round_up(onnx_layers: OnnxLayers, node: Node, window: dict[str, list[int]])
 
 def average_pool(onnx_layers: OnnxLayers, node: Node) -> None:
     window = _window(node, node.get("kernel_shape", []))
-    expect_form(not node.get("ceil_mode", 0), "ceil_mode")
     expect_form(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
     is_counted = node.get("count_include_pad", 0) == 1 or not any(window["padding"])
+    if node.get("ceil_mode", 0):
+        is_padded = any(window["padding"])
+        expect_form(not (is_counted and is_padded), "ceil_mode with padding that counts")
+        _round_up(onnx_layers, node, window)
+        is_counted = False
     op = "average_pool" if is_counted else "inside_average_pool"
     onnx_layers.add(node, op, node.inputs[:1], **window)
 
