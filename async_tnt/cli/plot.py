@@ -1,4 +1,4 @@
-"""async-tnt plot: draw events, volumes and decisions of a recording."""
+"""async-tnt plot: draw events, volumes and decisions or outputs of a recording."""
 
 from __future__ import annotations
 
@@ -39,11 +39,13 @@ DESCRIPTION = """\
 Draw what happens to the events of a recording, on one page, as PNG, SVG or PDF: the
 events of a window in space and time, raw and transformed; the bins of both volumes; the
 probability of each class during the recording. With a model that finds objects, the
-page shows where they are found, at three moments of the window.
+page shows where they are found, at three moments of the window. With a model of raw
+outputs it shows these at the ends of up to five windows: two channels as directions, one
+as grey, more by the largest one, numbers as bars.
 
-Events and volumes are drawn as the model makes them, or by the options. Decisions
-always use the model's own volume: a network knows only the kind of volume that it was
-trained on.
+Events and volumes are drawn as the model makes them, or by the options. Decisions and
+outputs are always of the model's own volume: a network knows only the kind of volume
+that it was trained on.
 
   async-tnt plot                                  a bundled recording of a 3
   async-tnt plot 8 --window 2 --out eight.svg     the second window of the bundled 8

@@ -29,13 +29,14 @@ from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.playback import replay
 from async_tnt.sources.files.recording import Recording
 from async_tnt.streaming.compile_ahead import must_compile
+from async_tnt.streaming.streams import pieces_for
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
 DESCRIPTION = """\
 Show a stream in the Rerun viewer while it is classified: the events and the landmark,
-the raw and the transformed volume, the probability of each class, the decisions. The
-timeline is that of the recording, in microseconds. It can be played, stopped and
-scrubbed.
+the raw and the transformed volume, the probability of each class, the decisions. A
+model of raw outputs has a panel for each output instead of the last two. The timeline
+is that of the recording, in microseconds. It can be played, stopped and scrubbed.
 
   async-tnt view a.bin                              play at the recorded speed
   async-tnt view a.bin --speed 0.1                  at a tenth of it
@@ -53,8 +54,12 @@ Or show it in a viewer that is running elsewhere:
   async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy
 
 A picture is taken every 20 ms of recorded time and at the end of each window, however
-many events there are. Rerun's viewer collects usage data; `rerun analytics disable`
-stops that. Needs rerun-sdk (extra `view`); a camera needs the extra `cameras`.
+many events there are. An output of two channels is drawn as directions, one of one
+channel as grey, one of more by its largest channel; numbers are curves or bars. Each
+picture has its own range of colours, which is told beside it.
+
+Rerun's viewer collects usage data; `rerun analytics disable` stops that. Needs
+rerun-sdk (extra `view`); a camera needs the extra `cameras`.
 """
 
 
@@ -116,7 +121,7 @@ def main(args: argparse.Namespace) -> int:
         # A missing source is reported before the wait for the compilation.
         check_sources([path], pixels)
 
-    view = RerunView(
+    view: RerunView[Any] = RerunView(
         engine.model,
         out=args.out,
         connect=args.connect,
@@ -156,20 +161,26 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _show(
-    recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float
+    recording: Recording, select: Callable[[Any], Any], view: RerunView[Any], speed: float
 ) -> None:
     """Play a recording at `speed` times its own speed; `select` chooses the pixels."""
     with progress(recording.n_events, printable(recording.path.name)) as bar:
         for packet in replay(map(select, recording), speed):
-            view.push(packet)
+            _push(packet, view)
             bar.update(len(packet))
     counts = view.processor.counts
     complain_late(str(recording.path), counts.dropped_late, counts.received, "--start-us")
 
 
-def _push_all(packets: Iterable[Any], view: RerunView) -> None:
+def _push_all(packets: Iterable[Any], view: RerunView[Any]) -> None:
     for packet in packets:
-        view.push(packet)
+        _push(packet, view)
+
+
+def _push(packet: Any, view: RerunView[Any]) -> None:
+    """Push a packet in pieces, so that few outputs lie in memory together."""
+    for piece in pieces_for(view.processor, packet):
+        view.push(piece)
 
 
 def _milliseconds(text: str) -> int:

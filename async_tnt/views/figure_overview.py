@@ -1,4 +1,4 @@
-"""Draw a recording on one page: a window's events, its volumes, and the decisions in time."""
+"""Draw a recording on one page: a window's events, its volumes, and the answers in time."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from async_tnt.base.messages import printable
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision, class_of_recording
 from async_tnt.streaming.processor import Processor
+from async_tnt.views.figure_outputs import draw_outputs, outputs_height
 from async_tnt.views.figure_style import (
     GREY,
     HIGHLIGHTS,
@@ -22,7 +23,7 @@ from async_tnt.views.figure_style import (
     shortened,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject, evenly_spread
+from async_tnt.views.figure_subject import Subject, Window, evenly_spread
 from async_tnt.views.figure_window import draw_both, draw_layers, layers_height
 
 if TYPE_CHECKING:
@@ -43,9 +44,10 @@ MOST_NAMED = 20
 
 
 def draw_overview(subject: Subject, number: int = 1) -> Figure:
-    """Draw one window's events and volumes, and the whole recording's class probabilities.
+    """Draw one window's events and volumes, and what the model answers in the whole recording.
 
-    Without a model, the probabilities are left out.
+    The answers are the class probabilities. A model of raw outputs has its outputs at the ends of
+    some windows instead. Without a model, answers are left out.
 
     Parameters
     ----------
@@ -53,38 +55,52 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     """
     window = subject.window(number)
     config = subject.config
+    model = subject.model
     shown_bins = evenly_spread(config.bins, MOST_SLICES).tolist()
-    classes_top = EVENTS_HEIGHT + 0.55 + layers_height(config, len(shown_bins))
-    figure = new_figure(classes_top + (0.0 if subject.model is None else CLASSES_HEIGHT + 0.5))
+    answers_top = EVENTS_HEIGHT + 0.55 + layers_height(config, len(shown_bins))
+    figure = new_figure(answers_top + _answers_height(window))
     draw_both(figure, window, height=EVENTS_HEIGHT - 0.7)
     size = f"{config.grid[0]} x {config.grid[1]} pixels, {config.bins} time bins, {config.polarity}"
     write_at(figure, 0.21, EVENTS_HEIGHT + 0.07, f"event volume of window {number} ({size})")
     draw_layers(figure, window, shown_bins, top=EVENTS_HEIGHT + 0.2)
-    if subject.model is None:
-        headline(figure, subject.name)
+    if model is not None and not model.outputs:
+        _draw_decisions(figure, subject, model, answers_top)
         return figure
 
+    headline(figure, subject.name)
+    if model is not None:
+        draw_outputs(figure, window, model, answers_top)
+    return figure
+
+
+def _answers_height(window: Window) -> float:
+    """Height of the part with the model's answers, in inches."""
+    model = window.subject.model
+    if model is None:
+        return 0.0
+    return outputs_height(window, model) if model.outputs else CLASSES_HEIGHT + 0.5
+
+
+def _draw_decisions(figure: Figure, subject: Subject, model: Model, top: float) -> None:
+    """Draw the class probabilities, `top` inches below the upper edge, and the headline."""
     t = subject.events["t"]
     duration_us = int(t.max() - t.min())
     # `MOST_DECISIONS` of these steps span the recording. The step is rounded down to half
     # milliseconds.
     distinct_step_us = duration_us // MOST_DECISIONS // 500 * 500
     every_us = max(EVERY_US, distinct_step_us)
-    processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
+    processor = Processor(model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
     last_decisions = [d for d in decisions if d.trigger in ("window", "end")]
-    label, details = class_of_recording(
-        subject.model.classes, [d.probabilities for d in last_decisions]
-    )
+    label, details = class_of_recording(model.classes, [d.probabilities for d in last_decisions])
     headline(figure, f"{subject.name}: “{label}”, {details}")
-    axes = axes_at(figure, 0.75, classes_top, 8.6, CLASSES_HEIGHT)
-    draw_classes(axes, subject, subject.model, decisions, last_decisions)
+    axes = axes_at(figure, 0.75, top, 8.6, CLASSES_HEIGHT)
+    draw_classes(axes, subject, model, decisions, last_decisions)
     model_name = printable(subject.model_name)
     moments_text = f"every {every_us / 1e3:g} ms and at the ends of windows"
     axes.set_xlabel(
         f"time in the recording (ms); decisions of {model_name} {moments_text}", fontsize=SMALL
     )
-    return figure
 
 
 def draw_classes(

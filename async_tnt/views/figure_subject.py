@@ -80,6 +80,15 @@ class Subject:
             f"in window {last_number}"
         )
 
+    def filled_windows(self, window_us: int) -> np.ndarray:
+        """Numbers of the windows that hold events, as `window` counts them: int64, ascending.
+
+        window_us : length of the windows, in microseconds.
+        """
+        newest_us = np.maximum.accumulate(self.events["t"])
+        numbers = np.unique((newest_us - self.first_us) // window_us + 1)
+        return numbers[numbers >= 1]
+
     def regressor(self) -> CompiledRegressor | None:
         """The model's landmark network, for the volumes that are drawn; None if not needed."""
         if not self.config.needs_regressor:

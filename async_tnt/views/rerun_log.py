@@ -1,7 +1,7 @@
 """Log a stream to Rerun, and lay out the viewer.
 
-A picture is the state of the stream at a moment. With each picture, the decisions since the
-previous picture are logged.
+A picture is the state of the stream at a moment. With each picture, the answers since the previous
+picture are logged: decisions by `rerun_decisions`, raw outputs by `rerun_outputs`.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from async_tnt.streaming.decision import Decision
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import TNTConfig
 
@@ -23,12 +22,8 @@ TIMELINE = "time"
 # the names under which data is logged
 EVENTS = "events/image"
 LANDMARK = "events/landmark"
-OBJECTS = "events/objects"
 RAW = "volumes/raw"
 TNT = "volumes/tnt"
-PROBABILITIES = "probabilities"
-CLASS = "class"
-DECISIONS = "decisions"
 
 # Okabe and Ito's colours, which colour-blind people can distinguish. They are bright, because the
 # viewer is dark.
@@ -44,13 +39,33 @@ OFF = 1
 ON = 2
 
 MOST_LINES = 20
-"""Number of decisions that are logged between two pictures, at most. They are the newest ones."""
-MOST_NAMED = 12
-"""Number of classes in the text about the open window, at most. They are the likeliest ones."""
+"""Number of answers that are logged between two pictures, at most. They are the newest ones."""
 MOST_SHEET_PIXELS = 1 << 17
-"""Number of pixels of the picture of a volume, at most."""
+"""Number of pixels of the picture of a volume or of an output, at most."""
 LIVE_SECONDS = 10
 """Number of last seconds that the plots show of a live stream."""
+
+
+class AnswerLog(Protocol):
+    """Logs the answers of a processor, which are decisions or raw outputs."""
+
+    def panels(self, time_ranges: Any) -> tuple[list[Any], list[Any]]:
+        """The views of the answers for the upper and for the lower row of the viewer.
+
+        time_ranges : what the plots show of the time, as the blueprint's views take it.
+        """
+
+    def kept(self, answer: Any) -> Any:
+        """What is logged of an answer when the next picture is taken. It has the `time_us`."""
+
+    def log_past(self, kept: Any, n_left_out: int) -> None:
+        """Log an answer since the previous picture.
+
+        n_left_out : number of answers before it that are not logged.
+        """
+
+    def log_now(self, answer: Any) -> None:
+        """Log the answer about the open window, which the processor has just given."""
 
 
 class StreamLog:
@@ -61,18 +76,21 @@ class StreamLog:
     rr : the module `rerun`.
     stream : a `rerun.RecordingStream`.
     config : the processor's configuration.
+    answers : logs the processor's answers.
     live : whether the stream may go on for hours.
     """
 
-    def __init__(self, rr: Any, stream: Any, config: TNTConfig, live: bool = False) -> None:
+    def __init__(
+        self, rr: Any, stream: Any, config: TNTConfig, answers: AnswerLog, live: bool = False
+    ) -> None:
         self.n_pictures = 0
         self._rr = rr
         self._stream = stream
         self._config = config
-        self._classes: tuple[str, ...] = ()
-        self._pending: deque[Decision] = deque(maxlen=MOST_LINES)
+        self._answers = answers
+        self._pending: deque[Any] = deque(maxlen=MOST_LINES)
         self._n_pending = 0
-        stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
+        stream.send_blueprint(_blueprint(rr, config.transform == "tnt", answers, live))
         colours = [
             (NOTHING, "no event", NOTHING_COLOUR),
             (OFF, "OFF (darker)", OFF_COLOUR),
@@ -80,110 +98,62 @@ class StreamLog:
         ]
         self._stream.log(EVENTS, rr.AnnotationContext(colours), static=True)
 
-    def add(self, decisions: Sequence[Decision]) -> None:
-        """Keep the decisions of a packet, to be logged with the next picture."""
-        self._pending.extend(decisions)
-        self._n_pending += len(decisions)
+    def add(self, answers: Sequence[Any]) -> None:
+        """Keep the answers to a packet, to be logged with the next picture."""
+        self._pending.extend(self._answers.kept(answer) for answer in answers)
+        self._n_pending += len(answers)
 
     def write(
         self,
         at_us: int,
-        decision: Decision,
+        answer: Any,
         recent: np.ndarray,
         raw: np.ndarray,
-        processor: Processor,
+        processor: Processor[Any],
     ) -> None:
-        """Log a picture, and the decisions since the previous picture.
+        """Log a picture, and the answers since the previous picture.
 
         Parameters
         ----------
         at_us : the picture's moment, in microseconds of the recording.
-        decision : the decision about the open window, from the processor's `fire`.
+        answer : the answer about the open window, from the processor's `fire`.
         recent : the events that the event image shows.
         raw : the volume without the transform, float32, shape (C, H, W).
         processor : gives the transformed volume and the landmark.
         """
         rr = self._rr
         self.n_pictures += 1
-        if processor.classes is not None and processor.classes != self._classes:
-            self._classes = processor.classes
-            self._stream.log(PROBABILITIES, rr.SeriesLines(names=list(self._classes)), static=True)
-        self.write_decisions()
+        self.write_pending()
         self._set_time(at_us)
         self._stream.log(EVENTS, rr.SegmentationImage(event_image(recent, self._config.sensor)))
         self._stream.log(RAW, rr.Image(bin_sheet(raw)))
         if self._config.transform == "tnt":
             self._stream.log(TNT, rr.Image(bin_sheet(processor.volume())))
-            landmarks = [self._config.to_sensor(*processor.landmark)] if decision.events else []
-            self._log_points(LANDMARK, landmarks, 5.0)
-        if decision.objects is not None:
-            object_places = [(item.x, item.y) for item in decision.objects]
-            object_labels = [f"{item.label} {item.probability:.2f}" for item in decision.objects]
-            self._log_points(OBJECTS, object_places, 6.0, object_labels)
-        description = class_text(decision, self._classes)
-        self._stream.log(CLASS, rr.TextDocument(description, media_type=rr.MediaType.MARKDOWN))
-        if decision.events:
-            self._log_probabilities(decision)
+            landmarks = [self._config.to_sensor(*processor.landmark)] if answer.events else []
+            self._stream.log(LANDMARK, points_at(rr, landmarks, 5.0))
+        self._answers.log_now(answer)
 
-    def _log_points(
-        self,
-        name: str,
-        places: Sequence[tuple[float, float]],
-        size: float,
-        labels: Sequence[str] | None = None,
-    ) -> None:
-        """Log white points at places (x, y), in sensor pixels."""
-        rr = self._rr
-        # the viewer's pixel 0 reaches from 0 to 1, but our pixel 0 has its centre at 0
-        centres = np.array(places).reshape(-1, 2) + 0.5
-        radius = rr.components.Radius.ui_points(size)
-        points = rr.Points2D(centres, radii=radius, labels=labels, colors=[WHITE], draw_order=100.0)
-        self._stream.log(name, points)
-
-    def write_decisions(self) -> None:
-        """Log the decisions since the previous picture, each at its own time."""
+    def write_pending(self) -> None:
+        """Log the answers since the previous picture, each at its own time."""
         n_left_out = self._n_pending - len(self._pending)
-        for decision in self._pending:
-            span = f"{decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms"
-            label = "nothing" if decision.label is None else decision.label
-            outcome = f"{label}  {decision.probability:.3f}"
-            text = f"{outcome}  {decision.trigger}: {decision.events:,} events, {span}"
-            if n_left_out:
-                text += f" ({n_left_out:,} decisions before it are not shown)"
-                n_left_out = 0
-            self._set_time(decision.time_us)
-            # The viewer can filter lines by level: it can hide the many early decisions, and still
-            # show the last decision of each window.
-            is_last = decision.complete or decision.trigger == "end"
-            level = "INFO" if is_last else "TRACE"
-            self._stream.log(DECISIONS, self._rr.TextLog(text, level=level))
-            self._log_probabilities(decision)
+        for kept in self._pending:
+            self._set_time(kept.time_us)
+            self._answers.log_past(kept, n_left_out)
+            n_left_out = 0
         self._pending.clear()
         self._n_pending = 0
-
-    def _log_probabilities(self, decision: Decision) -> None:
-        """Log the probability of each class.
-
-        A class of a map model has the probability of its likeliest object.
-        """
-        probabilities: Any = decision.probabilities
-        if decision.objects is not None:
-            likeliest = dict.fromkeys(self._classes, 0.0)
-            for item in decision.objects:
-                likeliest[item.label] = max(likeliest[item.label], item.probability)
-            probabilities = list(likeliest.values())
-        self._stream.log(PROBABILITIES, self._rr.Scalars(probabilities))
 
     def _set_time(self, t_us: int) -> None:
         self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us, "us"))
 
 
-def _blueprint(rr: Any, has_transform: bool, live: bool) -> Any:
-    """The initial layout: pictures and class at the top, plots and the log of decisions below.
+def _blueprint(rr: Any, has_transform: bool, answers: AnswerLog, live: bool) -> Any:
+    """The initial layout: pictures of events and volumes at the top, answers beside and below.
 
     Parameters
     ----------
     has_transform : whether there are a TNT volume and a landmark.
+    answers : has the views of the answers.
     live : whether the plots show only the last seconds.
     """
     blueprint = rr.blueprint
@@ -199,18 +169,28 @@ def _blueprint(rr: Any, has_transform: bool, live: bool) -> Any:
     last_seconds = rr.VisibleTimeRange(
         TIMELINE, start=from_cursor(seconds=-LIVE_SECONDS), end=from_cursor()
     )
-    plots = blueprint.TimeSeriesView(
-        origin=PROBABILITIES, name="Probabilities", time_ranges=[last_seconds] if live else None
+    upper, lower = answers.panels([last_seconds] if live else None)
+    rows = blueprint.Vertical(
+        blueprint.Horizontal(*pictures, *upper), blueprint.Horizontal(*lower), row_shares=[5, 4]
     )
-    upper_row = blueprint.Horizontal(
-        *pictures, blueprint.TextDocumentView(origin=CLASS, name="Class now")
-    )
-    lower_row = blueprint.Horizontal(
-        plots, blueprint.TextLogView(origin=DECISIONS, name="Decisions")
-    )
-    return blueprint.Blueprint(
-        blueprint.Vertical(upper_row, lower_row, row_shares=[5, 4]), collapse_panels=True
-    )
+    return blueprint.Blueprint(rows, collapse_panels=True)
+
+
+def points_at(
+    rr: Any, places: Sequence[tuple[float, float]], size: float, labels: Sequence[str] | None = None
+) -> Any:
+    """White points at places (x, y), in sensor pixels."""
+    # the viewer's pixel 0 reaches from 0 to 1, but our pixel 0 has its centre at 0
+    centres = np.array(places).reshape(-1, 2) + 0.5
+    radius = rr.components.Radius.ui_points(size)
+    return rr.Points2D(centres, radii=radius, labels=labels, colors=[WHITE], draw_order=100.0)
+
+
+def plain(text: str) -> str:
+    """Markdown that shows the text as it is, on one line."""
+    on_one_line = " ".join(text.split())
+    special = r"\`*_{}[]<>()#+-.!|~&$"
+    return "".join(f"\\{c}" if c in special else c for c in on_one_line)
 
 
 def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
@@ -283,35 +263,3 @@ def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
     high = np.maximum.reduceat(np.maximum.reduceat(volume, rows, axis=1), columns, axis=2)
     low = np.minimum.reduceat(np.minimum.reduceat(volume, rows, axis=1), columns, axis=2)
     return np.where(high >= -low, high, low)
-
-
-def class_text(decision: Decision, classes: Sequence[str]) -> str:
-    """A text in Markdown about the open window: its class, and the likeliest classes.
-
-    For a map model, the text lists the objects instead.
-    """
-    if decision.events == 0:
-        return "# no event\n\nThe window has no event yet."
-    if decision.objects is not None:
-        lines = [f"# {len(decision.objects)} objects", ""]
-        lines += ["| number | class | probability | place |", "|---|---|---|---|"]
-        for item in decision.objects:
-            place = f"{item.x:.0f}, {item.y:.0f}"
-            lines.append(f"| {item.id} | {_plain(item.label)} | {item.probability:.3f} | {place} |")
-        return "\n".join(lines) + "\n"
-
-    length_ms = (decision.time_us - decision.window_start_us) / 1e3
-    evidence = f"from {decision.events:,} events in {length_ms:,.1f} ms"
-    lines = [f"# {_plain(decision.label or 'nothing')}", ""]
-    lines += [f"with probability {decision.probability:.3f}, {evidence}", ""]
-    lines += ["| class | probability |", "|---|---|"]
-    for k in np.argsort(-decision.probabilities, kind="stable")[:MOST_NAMED]:
-        lines.append(f"| {_plain(classes[k])} | {decision.probabilities[k]:.3f} |")
-    return "\n".join(lines) + "\n"
-
-
-def _plain(text: str) -> str:
-    """Markdown that shows the text as it is, on one line."""
-    on_one_line = " ".join(text.split())
-    special = r"\`*_{}[]<>()#+-.!|~&$"
-    return "".join(f"\\{c}" if c in special else c for c in on_one_line)

@@ -1,15 +1,16 @@
-"""RerunView: logs a stream to the Rerun viewer, or to a .rrd file, while it is classified."""
+"""RerunView: logs a stream to the Rerun viewer, or to a .rrd file, while it is processed."""
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import socket
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Generic, Unpack
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -17,11 +18,14 @@ import numpy as np
 from async_tnt.base.checks import ParameterValueError, positive_int
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import Replacement, check_writable, user_path
+from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
-from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.processor import Processor
 from async_tnt.streaming.streams import Settings, as_processor
-from async_tnt.views.rerun_log import StreamLog
+from async_tnt.views.rerun_decisions import DecisionLog
+from async_tnt.views.rerun_log import AnswerLog, StreamLog
+from async_tnt.views.rerun_outputs import OutputLog
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE, as_events
 from async_tnt.volume.volume import TNTVolume
@@ -47,8 +51,11 @@ def import_rerun() -> Any:
     return rerun
 
 
-class RerunView(contextlib.AbstractContextManager["RerunView"]):
+class RerunView(contextlib.AbstractContextManager["RerunView[AnswerT]"], Generic[AnswerT]):
     """Classifies a stream, and shows it in the Rerun viewer.
+
+    With a model of raw outputs, the view has a panel for each output. The answers are then `Output`
+    values, which are valid until the next call, as those of a Processor are.
 
     Parameters
     ----------
@@ -79,7 +86,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
 
     def __init__(
         self,
-        model: Model | TNTConfig | Processor | str | Path,
+        model: Model | TNTConfig | Processor[AnswerT] | str | Path,
         *,
         out: str | Path | None = None,
         connect: str | None = None,
@@ -93,7 +100,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         if out is not None and connect is not None:
             rule = "writes a file and {connect} goes to a viewer: give one of them"
             raise ParameterValueError("out", rule)
-        self.processor = as_processor(model, **settings)
+        self.processor: Processor[AnswerT] = as_processor(model, **settings)
         config = self.processor.config
         if config.window_events is not None:
             raise ValueError(
@@ -117,7 +124,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._error_text = f"{connect}: {self._error_text}"
         if name is not None:
             self._stream.send_recording_name(name)
-        self.log = StreamLog(rr, self._stream, config, live=live)
+        answers = _answer_log(rr, self._stream, self.processor)
+        self.log = StreamLog(rr, self._stream, config, answers, live=live)
         """Writes the pictures; `log.n_pictures` counts them."""
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
@@ -129,8 +137,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self._recent = [np.empty(0, EVENT_DTYPE)]
         self._next_picture_s = 0.0  # a live stream has no picture before this time of the clock
 
-    def push(self, events: Any) -> list[Decision]:
-        """Classify a packet as `Processor.push` does, and log the pictures that are due.
+    def push(self, events: Any) -> list[AnswerT]:
+        """Process a packet as `Processor.push` does, and log the pictures that are due.
 
         Raises
         ------
@@ -156,7 +164,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._origin_us = int(newest[0]) if start_us is None else start_us
             self._due_us = self._next_due_us(int(newest[0]))
 
-        decisions: list[Decision] = []
+        answers: list[AnswerT] = []
         # cut the packet where pictures are due
         first = 0
         while first < len(packet):
@@ -165,24 +173,27 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
                 self._due_us = self._next_due_us(int(newest[first]))
             stop = int(np.searchsorted(newest, self._due_us))
             part = packet[first:stop]
-            new_decisions = self.processor.push(part)
-            self.log.add(new_decisions)
-            decisions += new_decisions
+            new_answers = self.processor.push(part)
+            self.log.add(new_answers)
+            # the next picture and the next part change the arrays of the last answer
+            if new_answers and stop < len(packet) and self.processor.answers_are_views:
+                new_answers[-1] = copy.copy(new_answers[-1])
+            answers += new_answers
             self._recent.append(part)
             self._newest_us = int(newest[stop - 1])
             first = stop
-        return decisions
+        return answers
 
-    def finish(self) -> list[Decision]:
-        """End the stream: log a last picture, and the decisions of `Processor.finish`."""
+    def finish(self) -> list[AnswerT]:
+        """End the stream: log a last picture, and the answers of `Processor.finish`."""
         if self._origin_us is None:
             return []
         self._picture(self._newest_us + 1, last=True)
-        decisions = self.processor.finish()
-        self.log.add(decisions)
-        self.log.write_decisions()
+        answers = self.processor.finish()
+        self.log.add(answers)
+        self.log.write_pending()
         self._origin_us = None
-        return decisions
+        return answers
 
     def _next_due_us(self, t_us: int) -> int:
         """The moment of the first picture after `t_us`."""
@@ -196,13 +207,13 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         unless it is the last one.
         """
         now_s = time.perf_counter()
-        decision = self.processor.fire()
+        answer = self.processor.fire()
         events = np.concatenate(self._recent)
         image_us = at_us - self._picture_us
-        self._recent = [events[events["t"] >= min(image_us, decision.window_start_us)]]
+        self._recent = [events[events["t"] >= min(image_us, answer.window_start_us)]]
         if now_s >= self._next_picture_s or last:
-            raw = self._raw_volume(events, decision)
-            self.log.write(at_us, decision, events[events["t"] >= image_us], raw, self.processor)
+            raw = self._raw_volume(events, answer)
+            self.log.write(at_us, answer, events[events["t"] >= image_us], raw, self.processor)
             if self._live:
                 took_s = time.perf_counter() - now_s
                 self._next_picture_s = now_s + max(LIVE_S, 2 * took_s)
@@ -210,15 +221,15 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._flush()
             self._next_check_s = now_s + CHECK_S
 
-    def _raw_volume(self, events: np.ndarray, decision: Decision) -> np.ndarray:
+    def _raw_volume(self, events: np.ndarray, answer: AnswerT) -> np.ndarray:
         """The open window's volume without the transform: float32, shape (C, H, W).
 
         The array is valid until the next call.
         """
         self._raw.reset()
-        self._raw.open(decision.window_start_us)
-        if decision.events:
-            self._raw.update(events[events["t"] >= decision.window_start_us])
+        self._raw.open(answer.window_start_us)
+        if answer.events:
+            self._raw.update(events[events["t"] >= answer.window_start_us])
         return self._raw.array
 
     def close(self) -> None:
@@ -271,6 +282,15 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
                 self.finish()
             self._origin_us = None
         self.close()
+
+
+def _answer_log(rr: Any, stream: Any, processor: Processor[Any]) -> AnswerLog:
+    """What logs the answers of a processor."""
+    network: Any = processor.classifier
+    if isinstance(network, CompiledNetwork):
+        shapes = dict(zip(network.names, network.output_shapes, strict=True))
+        return OutputLog(rr, stream, shapes)
+    return DecisionLog(rr, stream, processor)
 
 
 def _save(stream: Any, path: Path) -> Replacement:

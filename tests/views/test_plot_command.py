@@ -10,6 +10,7 @@ import pytest
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
 from made import random_events, random_model, random_regressor_model  # noqa: E402
+from views.raw_models import raw_model  # noqa: E402
 
 from async_tnt import TNTConfig  # noqa: E402
 from async_tnt.views.figure_style import new_figure, save, styled  # noqa: E402
@@ -137,6 +138,27 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
     code, _, err = plot("camera.npz", "--volume", "transform=none")
     assert code == 2 and "the volume without the transform is drawn anyway" in err
+
+
+def test_a_model_of_raw_outputs(plot):
+    """Its volume may be drawn otherwise; the outputs are of its own volume."""
+    config = TNTConfig(sensor=(8, 6), grid=(8, 6), window_us=50_000, bins=1, polarity="unsigned")
+    raw_model(config).save("net.safetensors")
+    np.savez("a.npz", events=random_events(900, sensor=(8, 6)), sensor=(8, 6))
+    for volume in ([], ["--volume", "bins=3"]):
+        words = "--model", "net.safetensors", "--window", 2, "--out", "a.svg", *volume
+        code, printed, err = plot("a.npz", *words)
+        assert (code, err) == (0, "") and printed.startswith("a.svg (")
+        text = text_of("a.svg")
+        labels = ["after TNT (running, t_max 8)", "event volume of window 2"]
+        labels += ["outputs of net.safetensors at the ends of windows", "window 3"]
+        labels += ["flow (2x6x8): two channels as directions", "channel 1", "total (2): numbers"]
+        assert not [label for label in labels if label not in text]
+        assert "class probability" not in text
+    np.savez("b.npz", events=random_events(9), sensor=(34, 34))
+    code, _, err = plot("b.npz", "--model", "net.safetensors")
+    assert code == 2 and err.count("\n") == 1
+    assert "b.npz: a sensor of 34x34 pixels, but the model is for 8x6" in err
 
 
 @pytest.mark.parametrize(

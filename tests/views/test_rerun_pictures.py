@@ -12,6 +12,7 @@ from made import events_of
 
 from async_tnt import Processor, TNTConfig
 from async_tnt.views import rerun_log as log
+from async_tnt.views.rerun_decisions import class_text
 from async_tnt.views.rerun_log import GAP_COLOUR, NOTHING_COLOUR, OFF_COLOUR, ON_COLOUR, bin_sheet
 from async_tnt.views.rerun_view import next_moment
 
@@ -86,7 +87,7 @@ def test_the_text_of_a_class_names_the_likeliest():
     """Twelve of them; markdown in their names is no markdown."""
     classes = [f"class_{k}" for k in range(14)]
     now = decision_of(np.arange(14.0)[::-1].copy(), classes)
-    lines = log.class_text(now, classes).splitlines()
+    lines = class_text(now, classes).splitlines()
     p = now.probabilities
     assert lines[0] == "# class\\_0"
     assert lines[2] == f"with probability {p[0]:.3f}, from 2 events in 2.5 ms"
@@ -94,13 +95,13 @@ def test_the_text_of_a_class_names_the_likeliest():
     assert lines[6:] == [f"| class\\_{k} | {p[k]:.3f} |" for k in range(12)]
 
     likeliest_last = decision_of(np.arange(3.0), ["a", "b", "c"])
-    lines = log.class_text(likeliest_last, ["a", "b", "c"]).splitlines()
+    lines = class_text(likeliest_last, ["a", "b", "c"]).splitlines()
     assert [line.split()[1] for line in lines[6:]] == ["c", "b", "a"]
 
 
 def test_the_text_of_a_window_without_events():
     now = decision_of(np.arange(3.0), ["a", "b", "c"], times=())
-    assert log.class_text(now, ["a", "b", "c"]).startswith("# no event\n")
+    assert class_text(now, ["a", "b", "c"]).startswith("# no event\n")
 
 
 def test_the_text_of_objects():
@@ -114,7 +115,7 @@ def test_the_text_of_objects():
         now, objects=tuple(dataclasses.replace(one, id=7 + one.index) for one in now.objects)
     )
     b, a = now.objects
-    lines = log.class_text(now, ["a_1", "b"]).splitlines()
+    lines = class_text(now, ["a_1", "b"]).splitlines()
     assert lines[0] == "# 2 objects"
     assert lines[2:4] == ["| number | class | probability | place |", "|---|---|---|---|"]
     assert lines[4:] == [

@@ -11,6 +11,7 @@ rrd_files = pytest.importorskip(
     "views.rrd_files", reason="rerun-sdk is not installed (extra `view`)"
 )
 Rrd = rrd_files.Rrd
+from async_tnt.views import rerun_decisions as decisions_log  # noqa: E402
 from async_tnt.views import rerun_log as log  # noqa: E402
 from async_tnt.views.rerun_view import LAST_US, RerunView, next_moment  # noqa: E402
 
@@ -135,8 +136,8 @@ def test_probabilities_and_decisions_are_the_processors(tmp_path):
     model = load_model("digits")
     events = open_recording(sample_recordings()[7]).read()
     rrd, decisions = view_of(tmp_path, np.array_split(events, 9), model, every_us=50_000)
-    series = rrd.series(log.PROBABILITIES, "Scalars:scalars")
-    lines = rrd.series(log.DECISIONS, "TextLog:text")
+    series = rrd.series(decisions_log.PROBABILITIES, "Scalars:scalars")
+    lines = rrd.series(decisions_log.DECISIONS, "TextLog:text")
     for d, (t, (text,)) in zip(decisions, lines, strict=True):
         assert t == d.time_us and (t, d.probabilities.tolist()) in series
         times = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
@@ -145,11 +146,11 @@ def test_probabilities_and_decisions_are_the_processors(tmp_path):
 
 def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     rrd, decisions = view_of(tmp_path, [EVENTS], every_events=1, picture_us=20_000)
-    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    lines = [text for _, (text,) in rrd.series(decisions_log.DECISIONS, "TextLog:text")]
     n_pictures = len(rrd.times(log.EVENTS))
     assert len(decisions) > 2900 and len(lines) <= 20 * (n_pictures + 1)
     assert sum("are not shown" in line for line in lines) >= n_pictures - 3
-    assert len(rrd.times(log.PROBABILITIES)) <= 21 * (n_pictures + 1)
+    assert len(rrd.times(decisions_log.PROBABILITIES)) <= 21 * (n_pictures + 1)
 
 
 @pytest.mark.parametrize("late_us", [-1, 0])
@@ -242,8 +243,8 @@ def test_decisions_that_are_left_out_are_counted_once(tmp_path):
     information for everyone; the others are details."""
     events = events_of(range(1_000, 1_100), [5] * 100, [5] * 100, [1] * 100)
     rrd, decisions = view_of(tmp_path, [events], every_events=1)
-    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
-    levels = [level for _, (level,) in rrd.series(log.DECISIONS, "TextLog:level")]
+    lines = [text for _, (text,) in rrd.series(decisions_log.DECISIONS, "TextLog:text")]
+    levels = [level for _, (level,) in rrd.series(decisions_log.DECISIONS, "TextLog:level")]
     # the last one, of the stream's end, comes after the last picture
     assert len(decisions) == 101 and len(lines) == 21
     assert [line.endswith("(80 decisions before it are not shown)") for line in lines] == [
@@ -256,7 +257,7 @@ def test_decisions_that_are_left_out_are_counted_once(tmp_path):
 def test_the_decision_that_closes_a_window_is_information(tmp_path):
     events = events_of([0, 10, 60_000], [5, 6, 7], [5, 5, 5], [1, 0, 1])
     rrd, decisions = view_of(tmp_path, [events], every_events=2)
-    levels = [level for _, (level,) in rrd.series(log.DECISIONS, "TextLog:level")]
+    levels = [level for _, (level,) in rrd.series(decisions_log.DECISIONS, "TextLog:level")]
     assert [d.trigger for d in decisions] == ["every_events", "window", "end"]
     assert levels == ["TRACE", "INFO", "INFO"]
 
@@ -294,20 +295,20 @@ def test_objects_are_shown_where_they_are_until_they_are_gone(tmp_path):
     none[2] = 1.0
     rrd = show_objects(tmp_path, [one, none])
     (_, first), (_, last) = (
-        rrd.series(log.OBJECTS, "Points2D:positions")[0],
-        rrd.series(log.OBJECTS, "Points2D:positions")[-1],
+        rrd.series(decisions_log.OBJECTS, "Points2D:positions")[0],
+        rrd.series(decisions_log.OBJECTS, "Points2D:positions")[-1],
     )
     e = np.exp
     likelier = e(4) / (e(4) + e(1) + 1)
     other = e(3) / (e(3) + e(1) + 1)
     assert first == [pytest.approx([35, 5]), pytest.approx([5, 25])]
     assert last == []
-    (_, labels) = rrd.series(log.OBJECTS, "Points2D:labels")[0]
+    (_, labels) = rrd.series(decisions_log.OBJECTS, "Points2D:labels")[0]
     assert labels == [f"a {likelier:.2f}", f"a {other:.2f}"]
-    plotted = [values for _, values in rrd.series(log.PROBABILITIES, "Scalars:scalars")]
+    plotted = [values for _, values in rrd.series(decisions_log.PROBABILITIES, "Scalars:scalars")]
     assert plotted[0] == pytest.approx([likelier, 0])
     assert plotted[-1] == [0, 0]
-    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    lines = [text for _, (text,) in rrd.series(decisions_log.DECISIONS, "TextLog:text")]
     assert lines[-1].startswith("nothing  0.000  end: 2 events, ")
 
 
@@ -317,7 +318,7 @@ def test_a_window_without_events_has_neither_landmark_nor_probabilities(tmp_path
     rrd, decisions = view_of(tmp_path, [events], confidence=1e-9, picture_us=20_000)
     assert [d.trigger for d in decisions] == ["confidence"]
     assert rrd.series(log.LANDMARK, "Points2D:positions") == [(20_000, []), (30_001, [])]
-    assert rrd.times(log.PROBABILITIES) == [0]  # of the decision itself
+    assert rrd.times(decisions_log.PROBABILITIES) == [0]  # of the decision itself
     empty = log.bin_sheet(np.zeros(CONFIG.shape, np.float32))
     for _, sheet in rrd.images(log.RAW):
         np.testing.assert_array_equal(sheet, empty)

@@ -1,6 +1,7 @@
 """async-tnt view: to files, to a viewer on loopback, from files and from the network."""
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -15,11 +16,14 @@ import pytest
 from full_disk import full_after
 from listening import free_port, sent
 from made import random_events
+from torch import nn
+from views.raw_models import raw_model
 from waiting import until
 
-from async_tnt import Processor, load_model
+from async_tnt import Model, Processor, TNTConfig, load_model
 from async_tnt.cli.view import _milliseconds
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.volume.events import as_events
 
 SAMPLE = sample_recordings()[7]
 EVENTS = open_recording(SAMPLE).read()
@@ -39,6 +43,7 @@ rrd_files = pytest.importorskip(
     "views.rrd_files", reason="rerun-sdk is not installed (extra `view`)"
 )
 Rrd = rrd_files.Rrd
+from async_tnt.views import rerun_decisions as decisions_log  # noqa: E402
 from async_tnt.views import rerun_log as log  # noqa: E402
 
 
@@ -62,7 +67,7 @@ def test_a_recording_becomes_a_file(tmp_path, program, monkeypatch):
     assert rrd.name == "7.bin" and np.diff(rrd.times(log.EVENTS))[:8].max() == 30_000
     processor = Processor(load_model("digits"), every_us=50_000)
     expected = [decision.label for decision in processor.push(EVENTS) + processor.finish()]
-    lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
+    lines = [text for _, (text,) in rrd.series(decisions_log.DECISIONS, "TextLog:text")]
     assert [line.split()[0] for line in lines] == expected
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
     rerun = rerun_program()
@@ -83,7 +88,9 @@ def test_windows_begin_at_the_start_that_is_given(tmp_path, program):
         expected = [decision.time_us for decision in processor.push(EVENTS) + processor.finish()]
         starts[start_us] = [
             time
-            for time, _ in Rrd(tmp_path / f"{start_us}.rrd").series(log.DECISIONS, "TextLog:text")
+            for time, _ in Rrd(tmp_path / f"{start_us}.rrd").series(
+                decisions_log.DECISIONS, "TextLog:text"
+            )
         ]
         assert starts[start_us] == expected
     assert starts[None] != starts[first_us + 100_000]
@@ -191,6 +198,126 @@ def test_a_disk_that_fills_up_ends_it_and_keeps_what_was_written(tmp_path, progr
         code, _, err = program("view", SAMPLE, "--every-ms", "0.5", "--out", out)
     assert code == 2 and own_lines(err)[-1].endswith(f"; what was written before is in {out}.part")
     assert out.read_bytes() == b"before" and sorted(os.listdir(tmp_path)) == ["a.rrd", "a.rrd.part"]
+
+
+# -- raw outputs -----------------------------------------------------------------------------------
+
+
+def test_a_model_of_raw_outputs_is_shown(tmp_path, program):
+    events = random_events(2_000, sensor=(8, 6), duration_us=100_000)
+    np.savez(tmp_path / "a.npz", events=events, sensor=(8, 6))
+    raw_model().save(tmp_path / "net.safetensors")
+    out = tmp_path / "a.rrd"
+    words = "--model", tmp_path / "net.safetensors", "--every-us", 10_000, "--out", out
+    code, printed, err = program("view", tmp_path / "a.npz", *words)
+    assert (code, err) == (0, "")
+    assert printed == f"{out}: 2,000 events, 6 pictures; open it with: rerun {out}\n"
+    rrd = Rrd(out)
+    assert len(rrd.images("outputs/flow")) == 6
+    times = [t for t, _ in rrd.series("outputs/total", "Scalars:scalars")]
+    processor = Processor(raw_model(), every_us=10_000)
+    expected = [output.time_us for output in processor.push(events) + processor.finish()]
+    assert len(expected) == 10 and set(expected) < set(times)
+    # raw outputs have no confidence
+    code, _, err = program("view", tmp_path / "a.npz", *words, "--confidence", 0.9)
+    rule = "--confidence is for models with classes; this one has raw outputs"
+    assert (code, err) == (2, f"async-tnt: {rule}\n")
+
+
+def test_few_outputs_lie_in_memory_together(tmp_path, program, monkeypatch):
+    """However many events a packet has: they are pushed in pieces. Decisions are small."""
+    from async_tnt.cli.view import _push_all
+    from async_tnt.views.rerun_view import RerunView
+
+    sizes = []
+    push = RerunView.push
+
+    def counted(view, events):
+        sizes.append(len(as_events(events, (34, 34))))
+        return push(view, events)
+
+    monkeypatch.setattr(RerunView, "push", counted)
+    monkeypatch.setattr("async_tnt.cli.view.replay", lambda packets, speed: [EVENTS])
+    raw = Model.from_torch(nn.Conv2d(9, 2, 1), load_model("digits").config)
+    raw.save(tmp_path / "net.safetensors")
+    words = "--every-events", 100, "--out", tmp_path / "a.rrd"
+    assert program("view", SAMPLE, "--model", tmp_path / "net.safetensors", *words)[0] == 0
+    assert sum(sizes) == len(EVENTS) and max(sizes) == 100
+    sizes.clear()
+    assert program("view", SAMPLE, *words)[0] == 0
+    assert sizes == [len(EVENTS)]
+    sizes.clear()
+    with RerunView(raw, out=tmp_path / "b.rrd", every_events=100) as view:
+        _push_all([EVENTS], view)
+    assert max(sizes) == 100
+
+
+# -- networks of other programs --------------------------------------------------------------------
+
+NAMES = ["left", "right", "nothing *at* all"]
+FOREIGN_CONFIG = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2, window_us=50_000)
+
+
+@pytest.fixture
+def view_onnx(tmp_path, program):
+    """A function that views random events with an ONNX network, and reads the file back."""
+    pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")
+    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `onnx`)")
+    events = random_events(300, sensor=(5, 6))
+    np.savez(tmp_path / "a.npz", events=events, sensor=(5, 6))
+
+    def view(content, **described):
+        described = {"config": FOREIGN_CONFIG.to_dict(), **described}
+        (tmp_path / "net.json").write_text(json.dumps(described))
+        (tmp_path / "net.onnx").write_bytes(content)
+        words = "--model", tmp_path / "net.onnx", "--config", tmp_path / "net.json"
+        code, _, err = program("view", tmp_path / "a.npz", *words, "--out", tmp_path / "a.rrd")
+        assert (code, err) == (0, "")
+        return events, Rrd(tmp_path / "a.rrd")
+
+    return view
+
+
+@pytest.mark.parametrize("has_compiled_form", [True, False])
+def test_an_onnx_network_has_the_names_of_its_json_file(view_onnx, has_compiled_form):
+    from networks.foreign import WEIGHTS, linear, network, node
+
+    def classifier(volume):
+        return linear(volume) if has_compiled_form else np.sin(linear(volume))
+
+    content = network()
+    if not has_compiled_form:
+        nodes = [
+            node("Flatten", ["image"], ["flat"]),
+            node("Gemm", ["flat", "w", "b"], ["linear"]),
+            node("Sin", ["linear"], ["scores"]),
+        ]
+        weights = {name: w.astype(np.float32) for name, w in WEIGHTS.items()}
+        content = network(nodes, weights=weights)
+    events, rrd = view_onnx(content, classes=NAMES)
+    rows = [row for t, row in rrd.rows[decisions_log.PROBABILITIES] if t is None]
+    assert [row["SeriesLines:names"] for row in rows] == [NAMES]
+    processor = Processor(FOREIGN_CONFIG, classifier=classifier, classes=NAMES)
+    expected = [decision.label for decision in processor.push(events) + processor.finish()]
+    lines = [text for _, (text,) in rrd.series(decisions_log.DECISIONS, "TextLog:text")]
+    assert [line.split("  ")[0] for line in lines] == expected
+    assert len(expected) == 3
+    texts = [text for _, (text,) in rrd.series(decisions_log.CLASS, "TextDocument:text")]
+    assert all("| left |" in text and r"| nothing \*at\* all |" in text for text in texts)
+
+
+def test_an_onnx_network_without_names_has_raw_outputs(view_onnx):
+    from networks.foreign import linear, network
+
+    events, rrd = view_onnx(network())
+    assert rrd.views["outputs/scores"] == "TimeSeries" and decisions_log.CLASS not in rrd.views
+    scores = []
+    processor = Processor(FOREIGN_CONFIG, classifier=lambda v: scores.append(linear(v)) or [0.0])
+    answers = processor.push(events) + processor.finish()
+    found = dict(rrd.series("outputs/scores", "Scalars:scalars"))
+    assert len(answers) == 3
+    for answer, expected in zip(answers, scores, strict=True):
+        assert found[answer.time_us] == pytest.approx(expected.tolist(), abs=1e-4)
 
 
 # -- live ------------------------------------------------------------------------------------------
