@@ -1,0 +1,167 @@
+"""Products, differences, slices and shuffles: from torch, and exported by torch from ONNX."""
+
+import io
+
+import numpy as np
+import pytest
+import torch
+from networks.foreign import onnx
+from torch import nn
+from torch.nn import functional as F
+
+from async_tnt import CompiledNetwork, Model, TNTConfig, TNTVolume
+from async_tnt.networks.layers.upsampling import corner_taps
+from async_tnt.networks.onnx.from_onnx import layers_from_onnx
+from async_tnt.networks.torch.from_torch import check_torch_layers, layers_from_torch
+
+CONFIG = TNTConfig(sensor=(10, 6), grid=(10, 6), bins=4, transform="none")
+
+
+class Body(nn.Module):
+    """A convolution, then what `body` does with its map."""
+
+    def __init__(self, body):
+        super().__init__()
+        self.conv = nn.Conv2d(4, 8, 3, padding=1)
+        self.other = nn.Conv2d(8, 8, 1)
+        self.filters = nn.Parameter(torch.randn(8, 1, 3, 3))
+        self.body = body
+
+    def forward(self, x):
+        return self.body(self, self.conv(x))
+
+
+def shuffled(m, h):
+    n, channels, rows, columns = h.shape
+    groups = h.view(n, 4, channels // 4, rows, columns).transpose(1, 2).contiguous()
+    return groups.view(n, -1, rows, columns)
+
+
+def asserted(m, h):
+    assert h.ndim == 4 and h.dim() == 4 and len(h) == 1
+    torch._assert(h.shape[1] == 8, "eight channels")
+    n, channels = h.shape[:2]
+    return h[:, : channels // 2] if h.size(2) == h.size(-2) else h.view(n, -1)
+
+
+BODIES = {
+    "product": lambda m, h: h * m.other(h),
+    "square": lambda m, h: h * h,
+    "gate of all places": lambda m, h: h * h.mean((2, 3), keepdim=True).sigmoid(),
+    "gate of one channel": lambda m, h: m.other(h).sigmoid()[:, 3:4] * h,
+    "gates of both kinds": lambda m, h: h.mean((2, 3), keepdim=True) * h[:, :1],
+    "difference": lambda m, h: h - m.other(h),
+    "difference from a number": lambda m, h: 1.5 - h,
+    "negative": lambda m, h: -h,
+    "sum with one channel": lambda m, h: h + h[:, 1:2],
+    "channels": lambda m, h: h[:, 1:-2],
+    "every third channel": lambda m, h: h[:, 1::3],
+    "a part of the places": lambda m, h: h[:, :, 1:-2, 2:9:3],
+    "chunks": lambda m, h: torch.cat(h.chunk(3, 1)[::-1], 1),
+    "splits": lambda m, h: h.split([1, 5, 2], 1)[1] + torch.split(h, 5, 1)[0],
+    "shuffle": shuffled,
+    "asserted shapes": asserted,
+    "corners": lambda m, h: F.interpolate(h, scale_factor=2, mode="bilinear", align_corners=True),
+    "corners by three": lambda m, h: F.interpolate(
+        h, size=(18, 30), mode="bilinear", align_corners=True
+    ),
+    "one place at all places": lambda m, h: F.interpolate(
+        h.mean((2, 3), keepdim=True), size=h.shape[2:], mode="bilinear"
+    ),
+    "filters of its own": lambda m, h: F.conv2d(h, 2 * m.filters, padding=1, groups=8),
+}
+"""What is done with a map (8, 6, 10)."""
+
+
+def module_of(name):
+    torch.manual_seed(0)
+    return Body(BODIES[name]).eval()
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_from_torch_they_compute_the_same(name):
+    module = module_of(name)
+    check_torch_layers(module, layers_from_torch(module, CONFIG.shape), CONFIG.shape)
+
+
+# of torch, whose exporter of this kind needs no other package
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+@pytest.mark.filterwarnings("ignore::torch.jit.TracerWarning")
+@pytest.mark.parametrize("name", BODIES)
+def test_from_onnx_they_become_layers_of_the_same_numbers(name):
+    module = module_of(name)
+    file = io.BytesIO()
+    example = (torch.zeros(1, *CONFIG.shape),)
+    torch.onnx.export(module, example, file, dynamo=False, opset_version=18)
+    network = onnx.load_from_string(file.getvalue())
+    read = layers_from_onnx(network, CONFIG.shape, has_classes=False)
+    own_weights = {name: values.copy() for name, values in read.weights.items()}
+    check_torch_layers(module, read._replace(weights=own_weights), CONFIG.shape)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_after_every_event_they_have_the_bits_of_a_whole_pass(name):
+    model = Model.from_torch(module_of(name), CONFIG)
+    network = CompiledNetwork(model)
+    whole = CompiledNetwork(model)
+    volume = TNTVolume(CONFIG)
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        if k % 20 == 0:
+            volume.open(1_000_000 * k)
+        where = int(rng.integers(10)), int(rng.integers(6))
+        volume.update_one(1_000_000 * (k // 20 * 20) + 500 * k, *where, k % 2)
+        for array, expected in zip(network.refresh(volume), whole(volume.array), strict=True):
+            assert array.tobytes() == expected.tobytes()
+
+
+def test_a_gate_by_hand():
+    """The mean of 60 places is 1/60 after one event, and each place is multiplied by it."""
+
+    class Gate(nn.Module):
+        def forward(self, x):
+            return x * x.mean((2, 3), keepdim=True)
+
+    volume = np.zeros(CONFIG.shape, np.float32)
+    volume[2, 3, 4] = 3.0
+    (array,) = CompiledNetwork(Model.from_torch(Gate(), CONFIG))(volume)
+    assert array[2, 3, 4] == pytest.approx(3.0 * 3.0 / 60) and np.count_nonzero(array) == 1
+
+
+def test_a_shuffle_by_hand():
+    """Four groups of two: the first of each, then the second of each."""
+    model = Model.from_torch(nn.Sequential(nn.ChannelShuffle(2)), CONFIG)
+    volume = np.arange(4, dtype=np.float32)[:, None, None] + np.zeros(CONFIG.shape, np.float32)
+    (array,) = CompiledNetwork(model)(volume)
+    assert array[:, 0, 0].tolist() == [0, 2, 1, 3]
+
+
+@pytest.mark.parametrize("n, factor", [(1, 3), (2, 2), (5, 2), (7, 4)])
+def test_corners_lie_on_each_other(n, factor):
+    taps = corner_taps(n, factor)
+    assert np.allclose(taps.sum(2), 1) and (taps >= 0).all()
+    # the place m - 1 + tap of the input has the coordinate of the output's place
+    places = (taps * (np.arange(n)[:, None] - 1 + np.arange(3))).sum(2)
+    expected = np.arange(n * factor).reshape(n, factor).T * (n - 1) / (n * factor - 1)
+    assert np.allclose(places, expected)
+
+
+@pytest.mark.parametrize(
+    "body, reason",
+    [
+        (lambda m, h: h[:, [0, 2]], "the index"),
+        (lambda m, h: h.transpose(1, 2), "a transposition"),
+        (lambda m, h: h.view(1, 2, 4, 6, 10).relu(), "a view of channels in groups"),
+        (lambda m, h: h.view(1, 2, 4, 6, 10), "a view of channels in groups"),
+        (lambda m, h: h.view(1, 4, 12, 10), "a view other than"),
+        (lambda m, h: h.chunk(2, 2)[0], "a division along axis 2"),
+        (lambda m, h: h / m.other(h), "a quotient other than"),
+        (lambda m, h: h * h[:, :, :1], "one place or channel for all"),
+        (lambda m, h: F.conv2d(h, h.new_ones(1)), "has no compiled form"),
+        (lambda m, h: h if h.sum() > 0 else -h, "cannot trace this module"),
+    ],
+)
+def test_what_has_no_form_is_refused_by_its_reason(body, reason):
+    with pytest.raises(NotImplementedError, match=reason) as raised:
+        layers_from_torch(Body(body).eval(), CONFIG.shape)
+    assert "\n" not in str(raised.value)
