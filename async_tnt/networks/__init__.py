@@ -13,6 +13,7 @@ A `Processor(config, classifier=...)` takes the two other classifiers. onnx, onn
 
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.torch_modules import TorchClassifier
 from async_tnt.networks.onnx.export import to_onnx
@@ -20,6 +21,7 @@ from async_tnt.networks.onnx.network import OnnxClassifier
 
 __all__ = [
     "CompiledClassifier",
+    "CompiledNetwork",
     "CompiledRegressor",
     "Model",
     "OnnxClassifier",
