@@ -15,6 +15,7 @@ from async_tnt.kernels.decisions.objects import N_KNOWN, NEXT_NUMBER, locate_on_
 from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.readout import cells_to_float32
 from async_tnt.networks.models.compiled import CompiledClassifier
+from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.objects import (
     LOGITS_SHAPES,
     ObjectReader,
@@ -82,6 +83,9 @@ class WindowClassifier:
         The callable must take volumes of the configuration's shape. If `confidence` is set, the
         callable must not find objects.
         """
+        if isinstance(classifier, CompiledNetwork):
+            rule = "must return logits; a CompiledNetwork has raw outputs"
+            raise ParameterTypeError("classifier", rule)
         if not callable(classifier):
             raise ParameterTypeError("classifier", "must be callable", type(classifier).__name__)
         reader: ObjectReader | None = None

@@ -241,7 +241,16 @@ class _Builder:
         if self.chance(0.3):
             shape = self.pick((self.shape[-1],), (1, 1, 1, n, *rest), (2, n, *rest))
         if self.chance(0.2):
-            self.node("Neg")
+            self.node(self.pick("Neg", "Abs"))
+        if self.chance(0.1) and len(self.shape) == 3:
+            axes = self.pick([1], [-3], [2] if self.chance(0.3) else [1])
+            before = self.value
+            if self.opset < 13:
+                self.node("ReduceSum", axes=axes, keepdims=1)
+            else:
+                self.node("ReduceSum", self.constant(np.int64(axes)), keepdims=1)
+            self.node("Tanh")
+            self.node("Mul", before)
         self.node(self.pick("Add", "Mul", "Sub", "Div"), self.weights(*shape))
 
     def function(self) -> None:
@@ -459,6 +468,8 @@ GAPS = {
     "ConvTranspose": lambda of: of.get("strides", [1, 1]) == [1, 2],
     "Pad": _pads_as_no_layer,
     "Slice": _takes_nothing,
+    "Div": lambda of: any((constant == 0).any() for constant in of.constants),
+    "ReduceSum": lambda of: 2 in (of.get("axes", None) or of.constants[0].tolist()),
     "Gather": lambda of: of.get("axis", 0) != 1,
     "Split": lambda of: of.get("axis", 0) not in (1, -3),
     "Transpose": lambda of: list(of.get("perm", [])) != [0, 2, 1, 3, 4],
@@ -532,7 +543,17 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
 
 def _has_other_constants(of: _Of) -> bool:
     """Whether a constant has another type, or neither one number nor one for each channel."""
-    whole = "Constant", "Reshape", "ReduceMean", "Dropout", "Pad", "Slice", "Gather", "Split"
+    whole = (
+        "Constant",
+        "Reshape",
+        "ReduceMean",
+        "Dropout",
+        "Pad",
+        "Slice",
+        "Gather",
+        "Split",
+        "ReduceSum",
+    )
     if of.op not in whole and any(constant.dtype != np.float32 for constant in of.constants):
         return True
     if of.op not in ("Add", "Sum", "Sub", "Mul", "Div", "PRelu") or not of.constants:

@@ -53,6 +53,7 @@ BODIES = {
     "difference": lambda m, h: h - m.other(h),
     "difference from a number": lambda m, h: 1.5 - h,
     "negative": lambda m, h: -h,
+    "mask of places": lambda m, h: m.other(h) * h.abs().sum(1, keepdim=True).clamp(max=1),
     "sum with one channel": lambda m, h: h + h[:, 1:2],
     "channels": lambda m, h: h[:, 1:-2],
     "every third channel": lambda m, h: h[:, 1::3],
@@ -156,7 +157,10 @@ def test_corners_lie_on_each_other(n, factor):
         (lambda m, h: h.view(1, 4, 12, 10), "a view other than"),
         (lambda m, h: h.chunk(2, 2)[0], "a division along axis 2"),
         (lambda m, h: h / m.other(h), "a quotient other than"),
+        (lambda m, h: h / 0, "a quotient by zero"),
         (lambda m, h: h * h[:, :, :1], "one place or channel for all"),
+        (lambda m, h: h.sum(2, keepdim=True), "a sum over 2, not of the channels"),
+        (lambda m, h: h.sum(1), "a sum over 1, not of the channels"),
         (lambda m, h: F.conv2d(h, h.new_ones(1)), "has no compiled form"),
         (lambda m, h: h if h.sum() > 0 else -h, "cannot trace this module"),
     ],
@@ -165,3 +169,36 @@ def test_what_has_no_form_is_refused_by_its_reason(body, reason):
     with pytest.raises(NotImplementedError, match=reason) as raised:
         layers_from_torch(Body(body).eval(), CONFIG.shape)
     assert "\n" not in str(raised.value)
+
+
+class Keeps(nn.Module):
+    """A unit with a state, as recurrent networks have it."""
+
+    def __init__(self):
+        super().__init__()
+        self.conv = nn.Conv2d(4, 4, 1)
+        self.state = None
+
+    def forward(self, x):
+        self.state = self.conv(x) if self.state is None else self.conv(x) + self.state
+        return self.state
+
+
+@pytest.mark.parametrize(
+    "module, message",
+    [
+        (
+            nn.Sequential(Keeps()),
+            "layer '0' (Keeps) keeps a tensor in `state` from call to call: it is recurrent",
+        ),
+        (Keeps(), "the module keeps a tensor in `state` from call to call: it is recurrent"),
+        (
+            nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.GRU(4, 2)),
+            "layer '2' (GRU) has no compiled form: it is recurrent",
+        ),
+    ],
+)
+def test_a_recurrent_network_is_called_recurrent(module, message):
+    with pytest.raises(NotImplementedError) as raised:
+        layers_from_torch(module.eval(), CONFIG.shape)
+    assert message in str(raised.value) and "\n" not in str(raised.value)

@@ -87,9 +87,17 @@ REFUSED = [  # nodes, constants, message, opset
         for attributes in ({"alpha": 0.5}, {"beta": 2.0}, {"transA": 1})
     ),
     (
-        [node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)],
+        [
+            node(
+                "AveragePool",
+                kernel_shape=[3, 3],
+                ceil_mode=1,
+                count_include_pad=1,
+                pads=[1, 1, 1, 1],
+            )
+        ],
         {},
-        "(AveragePool): ceil_mode has no compiled form",
+        "(AveragePool): ceil_mode with padding that counts has no compiled form",
         13,
     ),
     ([node("Log")], {}, "(Log): a logarithm of other than x + 1 has no compiled form", 13),

@@ -233,6 +233,8 @@ def test_what_needs_classes_is_refused_in_one_line():
         Processor(MODEL).confidence = 0.9
     with pytest.raises(TypeError, match="must be a CompiledNetwork, because the model has raw"):
         Processor(MODEL, classifier=len)
+    with pytest.raises(TypeError, match="must return logits; a CompiledNetwork has raw outputs"):
+        Processor(random_model(CONFIG)).classifier = CompiledNetwork(MODEL)
     with pytest.raises(ValueError, match=r"must have classes; CompiledNetwork\(model\) is for"):
         CompiledClassifier(MODEL)
     with pytest.raises(ValueError, match=r"must have raw outputs; CompiledClassifier\(model\) is"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from async_tnt.base.progress import progress
 
 TOLERANCE = 1e-4
 """The largest difference that is accepted, as a share of a volume's largest number."""
+
+ROUNDINGS = 4
+"""How many times the error of rounding two programs may differ."""
 
 LONG_S = 10.0
 """Seconds after which only the volumes of `FIRST` are compared."""
@@ -30,7 +34,11 @@ def expect_form(condition: bool, what: str) -> None:
 
 
 def compare(
-    original: Function, layers: Function, shape: tuple[int, ...], tolerance: float = TOLERANCE
+    original: Function,
+    layers: Function,
+    shape: tuple[int, ...],
+    tolerance: float = TOLERANCE,
+    exact: Function | None = None,
 ) -> None:
     """Compare a network with the layers that were read from it, on `volumes_to_compare`.
 
@@ -43,35 +51,46 @@ def compare(
         the same volume. A volume's largest number counts as at least 0.01, and as at least 1 % of
         the largest number for any volume, because smaller logits make no difference to a softmax.
 
+    exact : the same layers as `layers`, in float64. If it is given, numbers may also differ by
+        `ROUNDINGS` times the error that `layers` make by rounding, because such a network makes
+        much of small differences.
+
     Raises
     ------
-    ValueError : the numbers of the network and of the layers differ by more than `tolerance`; or
-        the network fails on a volume.
+    ValueError : the numbers of the network and of the layers differ by more than that; or the
+        network fails on a volume.
     """
     volumes = list(volumes_to_compare(shape))
-    pairs_of_volumes = []
+    numbers_of_volumes = []
     started_s = time.monotonic()
     with progress(len(volumes), "comparing the layers") as bar:
         for place, volume in enumerate(volumes):
             is_long = time.monotonic() - started_s > LONG_S
             if place not in FIRST and is_long:
                 continue
-            pairs_of_volumes.append(_numbers_of_both(original, layers, volume))
+            numbers_of_volumes.append(_numbers_of_both(original, layers, volume, exact))
             bar.update()
-    for pairs in zip(*pairs_of_volumes, strict=True):
-        _compare_output(pairs, tolerance)
+    for numbers_of_output in zip(*numbers_of_volumes, strict=True):
+        _compare_output(numbers_of_output, tolerance)
 
 
-def _compare_output(pairs: Sequence[tuple[np.ndarray, np.ndarray]], tolerance: float) -> None:
-    """Compare the numbers of one output, see `compare`.
+class _Numbers(NamedTuple):
+    """What is compared of one output, for one volume."""
 
-    Parameters
-    ----------
-    pairs : for each volume, the numbers of the network and those of its layers.
-    """
-    largest = [_largest_finite(expected) for expected, _ in pairs]
-    for (expected, computed), own_largest in zip(pairs, largest, strict=True):
+    expected: np.ndarray
+    """The numbers of the network."""
+    computed: np.ndarray
+    """Those of its layers."""
+    rounding: float
+    """The largest error of the layers by rounding, as far as it is known."""
+
+
+def _compare_output(numbers: Sequence[_Numbers], tolerance: float) -> None:
+    """Compare the numbers of one output for all volumes, see `compare`."""
+    largest = [_largest_finite(one.expected) for one in numbers]
+    for (expected, computed, rounding), own_largest in zip(numbers, largest, strict=True):
         bound = tolerance * max(own_largest, max(largest) / 100, 0.01)
+        bound = max(bound, ROUNDINGS * rounding)
         if not np.allclose(computed, expected, rtol=0.0, atol=bound, equal_nan=True):
             difference = np.abs(computed - expected).max()
             raise ValueError(
@@ -81,23 +100,24 @@ def _compare_output(pairs: Sequence[tuple[np.ndarray, np.ndarray]], tolerance: f
 
 
 def _numbers_of_both(
-    original: Function, layers: Function, volume: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each output the numbers of the network, and those of its layers, of one length."""
+    original: Function, layers: Function, volume: np.ndarray, exact: Function | None
+) -> list[_Numbers]:
+    """The numbers of each output for one volume."""
     try:
         expected = original(volume.copy())  # a copy, as the network may change it in place
     except Exception as error:  # a network may raise errors of any type
         raise ValueError(
             f"it fails on a volume of shape {volume.shape}: {one_line(error)}"
         ) from None
-    pairs = []
-    for numbers, layer_numbers in zip(expected, layers(volume), strict=True):
-        if numbers.size != layer_numbers.size:
-            raise ValueError(
-                f"it gives numbers of shape {numbers.shape}, its layers {layer_numbers.size}"
-            )
-        pairs.append((numbers.reshape(-1), layer_numbers.reshape(-1)))
-    return pairs
+    computed = layers(volume)
+    exact_numbers = computed if exact is None else exact(volume)
+    found = []
+    for numbers, own, without_rounding in zip(expected, computed, exact_numbers, strict=True):
+        if numbers.size != own.size:
+            raise ValueError(f"it gives numbers of shape {numbers.shape}, its layers {own.size}")
+        rounding = _largest_finite(own.reshape(-1) - without_rounding.reshape(-1))
+        found.append(_Numbers(numbers.reshape(-1), own.reshape(-1), rounding))
+    return found
 
 
 def _largest_finite(numbers: np.ndarray) -> float:

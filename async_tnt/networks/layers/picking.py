@@ -1,6 +1,6 @@
-"""Some rows and columns of a map, as x[..., ::2, 1:-3] takes them.
+"""Convolutions with weights of 0 and 1: some rows and columns of a map, the sum of its channels.
 
-It is a depthwise convolution with one weight of 1, so it needs no operation of its own.
+So these need no operations of their own.
 """
 
 from __future__ import annotations
@@ -35,3 +35,15 @@ def picked(
         "groups": channels,
     }
     return weight, parameters
+
+
+def sum_weight(channels: int) -> tuple[np.ndarray, dict[str, Any]]:
+    """The weight and the parameters of the convolution that adds all channels at each place."""
+    parameters = {
+        "kernel": [1, 1],
+        "stride": [1, 1],
+        "padding": [0, 0, 0, 0],
+        "dilation": [1, 1],
+        "groups": 1,
+    }
+    return np.ones((1, channels, 1, 1), np.float32), parameters

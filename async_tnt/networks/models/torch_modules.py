@@ -32,6 +32,21 @@ def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
     return _network(model, CLASSIFIER, list(model.outputs.values()) or None)
 
 
+def exact_outputs(model: Model) -> Callable[[np.ndarray], list[np.ndarray]]:
+    """A model's network in float64: a function from a volume (C, H, W) to its outputs."""
+    import torch
+
+    network = torch_classifier(model).double()
+
+    def outputs(volume: np.ndarray) -> list[np.ndarray]:
+        with torch.inference_mode():
+            answer = network(torch.tensor(volume, dtype=torch.float64)[None])
+        tensors = answer if isinstance(answer, tuple) else (answer,)
+        return [tensor[0].numpy() for tensor in tensors]
+
+    return outputs
+
+
 def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
     """A model's landmark network as a module in eval mode.
 

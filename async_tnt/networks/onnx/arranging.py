@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from async_tnt.networks.layers.conversion_check import expect_form
-from async_tnt.networks.layers.picking import picked
+from async_tnt.networks.layers.picking import picked, sum_weight
 from async_tnt.networks.onnx.layers import Grouped, Node, OnnxLayers, without_leading_ones
 
 # -- sums, products, concatenations ----------------------------------------------------------------
@@ -92,7 +92,9 @@ def divide(onnx_layers: OnnxLayers, node: Node) -> None:
     first, second = node.inputs
     is_known = second in onnx_layers.constants and first not in onnx_layers.constants
     expect_form(is_known, "a quotient other than of a map by a constant")
-    inverse = 1 / onnx_layers.constants[second]
+    constant = onnx_layers.constants[second]
+    expect_form(bool((constant != 0).all()), "a quotient by zero")
+    inverse = 1 / constant
     _scale(onnx_layers, node, first, weight=inverse.astype(onnx_layers.dtype))
 
 
@@ -104,6 +106,20 @@ def _product(onnx_layers: OnnxLayers, node: Node) -> None:
             onnx_layers.add(node, "silu", [x])
             return
     onnx_layers.add(node, "multiply", node.inputs)
+
+
+def sum_of_channels(onnx_layers: OnnxLayers, node: Node) -> None:
+    """Add a convolution of one place for the sum of the channels at each place."""
+    axes = node.get("axes")
+    if axes is None:  # from opset 13 on the axes are an input
+        given = onnx_layers.constant(node, 1)
+        axes = None if given is None else given.tolist()
+    channels, *sides = onnx_layers.shape(node.inputs[0])
+    is_known = list(axes or []) in ([1], [-3]) and len(sides) == 2 and node.get("keepdims", 1)
+    expect_form(bool(is_known), f"a sum over axes {axes}, not of the channels of a map (1),")
+    weight, parameters = sum_weight(channels)
+    name = onnx_layers.tensor(f"{node.outputs[0]}.weight", weight.astype(onnx_layers.dtype))
+    onnx_layers.add(node, "conv", node.inputs[:1], weights={"weight": name}, **parameters)
 
 
 def concat(onnx_layers: OnnxLayers, node: Node) -> None:

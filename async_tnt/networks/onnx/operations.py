@@ -37,7 +37,12 @@ class OnnxForm:
 
 FORMS: dict[str, OnnxForm] = {
     "conv": OnnxForm(
-        {"Conv": read.conv, "ConvTranspose": read.conv_transpose, "Slice": arranging.cut},
+        {
+            "Conv": read.conv,
+            "ConvTranspose": read.conv_transpose,
+            "Slice": arranging.cut,
+            "ReduceSum": arranging.sum_of_channels,
+        },
         write.write_conv,
     ),
     "dense": OnnxForm({"Gemm": read.gemm, "MatMul": read.matmul}, write.write_dense),
@@ -54,7 +59,9 @@ FORMS: dict[str, OnnxForm] = {
         write.write_batch_norm,
     ),
     "relu": OnnxForm({"Relu": plain_layer("relu")}, plain_node("Relu")),
-    "leaky_relu": OnnxForm({"LeakyRelu": read.leaky_relu}, write.write_leaky_relu),
+    "leaky_relu": OnnxForm(
+        {"LeakyRelu": read.leaky_relu, "Abs": read.absolute}, write.write_leaky_relu
+    ),
     "prelu": OnnxForm({"PRelu": read.prelu}, write.write_prelu),
     "clip": OnnxForm({"Clip": read.clip}, write.write_clip),
     "softshrink": OnnxForm({"Shrink": read.shrink}, write.write_softshrink),

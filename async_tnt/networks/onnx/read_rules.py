@@ -212,6 +212,11 @@ def leaky_relu(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "leaky_relu", node.inputs[:1], slope=float(node.get("alpha", 0.01)))
 
 
+def absolute(onnx_layers: OnnxLayers, node: Node) -> None:
+    """Add a leaky ReLU of slope -1 for |x|."""
+    onnx_layers.add(node, "leaky_relu", node.inputs[:1], slope=-1.0)
+
+
 def prelu(onnx_layers: OnnxLayers, node: Node) -> None:
     slope = onnx_layers.constant(node, 1)
     if slope is None:

@@ -10,7 +10,7 @@ import torch
 from torch import fx
 
 from async_tnt.networks.layers.conversion_check import expect_form
-from async_tnt.networks.layers.picking import picked
+from async_tnt.networks.layers.picking import picked, sum_weight
 from async_tnt.networks.torch.layers import Call, Grouped, LayerList, float_array
 
 # -- sums, products, concatenations ----------------------------------------------------------------
@@ -53,6 +53,7 @@ def divide(layer_list: LayerList, call: Call) -> str:
     x, constant = _with_constant(call)
     if constant is None or x is not call["input"] or call.arguments.get("rounding_mode"):
         raise NotImplementedError("a quotient other than a map by a constant has no compiled form")
+    expect_form(bool((constant != 0).all()), "a quotient by zero")
     return _affine(layer_list, call, x, weight=1 / constant)
 
 
@@ -92,6 +93,19 @@ def _affine(layer_list: LayerList, call: Call, x: Any, **constants: torch.Tensor
         weights[role] = name
         layer_list.weights[name] = float_array(values.reshape(-1).expand(channels))
     return layer_list.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
+
+
+def sum_of_channels(layer_list: LayerList, call: Call) -> str:
+    """Add a convolution of one place for x.sum(1, keepdim=True)."""
+    axes = call["dim"]
+    channels, *sides = layer_list.shape(call["input"])
+    is_known = axes in (1, (1,), [1], -3) and call["keepdim"] and len(sides) == 2
+    expect_form(is_known, f"a sum over {axes}, not of the channels of a map (1, keepdim),")
+    # no module's tensor has () in its name
+    name = f"{layer_list.prefix}{call.node.name}().weight"
+    weight, parameters = sum_weight(channels)
+    layer_list.weights[name] = weight
+    return layer_list.add("conv", call, weights={"weight": name}, **parameters)
 
 
 def concatenate(layer_list: LayerList, call: Call) -> str:

@@ -83,6 +83,7 @@ def layers_from_torch(module: nn.Module, shape: tuple[int, ...], prefix: str = "
         graph = Tracer(module, shape, MODULES).trace(module)
     except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}") from None
+    _refuse_state(module)
     try:
         read = _Conversion(module, LayerList(shape, prefix)).run(graph)
         tensor_shapes = {name: w.shape for name, w in read.weights.items()}
@@ -96,6 +97,18 @@ def layers_from_torch(module: nn.Module, shape: tuple[int, ...], prefix: str = "
             raise error from None
         raise _cannot_be_read(error) from None
     return read
+
+
+def _refuse_state(module: nn.Module) -> None:
+    """Refuse a module that kept a tensor of its call, as it would compute on from it."""
+    for name, part in module.named_modules():
+        for attribute, value in vars(part).items():
+            if isinstance(value, fx.Proxy):
+                where = f"layer {name!r} ({type(part).__name__})" if name else "the module"
+                raise NotImplementedError(
+                    f"{where} keeps a tensor in `{attribute}` from call to call: it is recurrent, "
+                    "and recurrent networks have no compiled form"
+                )
 
 
 def _cannot_be_read(error: Exception) -> NotImplementedError:
@@ -203,7 +216,8 @@ class _Conversion:
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
             raise NotImplementedError(
-                f"the module must take one volume, got {len(inputs)} arguments"
+                f"the module must take one volume, got {len(inputs)} arguments (a state would make "
+                "it recurrent, and recurrent networks have no compiled form)"
             )
         self._layer_list.names[inputs[0]] = VOLUME
         self._read_all(graph)
@@ -249,7 +263,9 @@ class _Conversion:
             if not node.users and not _may_change_its_input(node, module):
                 return
             advice = ""
-            if "softmax" in kind.lower():
+            if isinstance(module, nn.RNNBase):
+                advice = ": it is recurrent"
+            elif "softmax" in kind.lower():
                 advice = ": a decision has the softmax of its logits, leave it out"
             raise RefusedError(kind, f"{where} has no compiled form{advice}")
         try:

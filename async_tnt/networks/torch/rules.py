@@ -206,6 +206,11 @@ def leaky_relu(layer_list: LayerList, call: Call) -> str:
     return layer_list.add("leaky_relu", call, slope=float(call["negative_slope"]))
 
 
+def absolute(layer_list: LayerList, call: Call) -> str:
+    """Add a leaky ReLU of slope -1 for |x|."""
+    return layer_list.add("leaky_relu", call, slope=-1.0)
+
+
 def prelu(layer_list: LayerList, call: Call) -> str:
     return layer_list.add("prelu", call, weights=layer_list.tensors(call, slope="weight"))
 
