@@ -169,7 +169,7 @@ def _by_channel(program, at, n, weights, maps, places, bits):
         note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
 
 
-@inlined
+@compiled
 def _pick(program, at, n, words_of_maps, places, bits):
     """Copy some channels of one place, or spread them over a block, at the n places of the list."""
     block = program[at + P.BLOCK]
@@ -198,7 +198,7 @@ def _pick(program, at, n, words_of_maps, places, bits):
         note_changes(bits, row_of_bits, column, np.uint64(changed != 0))
 
 
-@inlined
+@compiled
 def _of_two(program, at, n, maps, places, bits):
     """Compute products or sums of two inputs at the n places of the list."""
     words_of_maps = maps.view(np.uint32)
@@ -327,7 +327,7 @@ def _seen_in_word(program, bits, first_source, n_sources, vertical, row, word):
     return changed
 
 
-@inlined
+@compiled
 def _list_blocks(program, at, places, bits):
     """`_list_dirty` of a PICK with blocks: those of the places of its source that have changed."""
     first_source = program[at + P.SOURCES]
