@@ -72,8 +72,7 @@ def subtract(onnx_layers: OnnxLayers, node: Node) -> None:
     first, second = node.inputs
     if second in onnx_layers.constants:
         expect_form(first not in onnx_layers.constants, "a difference of constants")
-        negative_constant = -onnx_layers.constants[second]
-        _scale(onnx_layers, node, first, bias=negative_constant)
+        _scale(onnx_layers, node, first, bias=-_floating(onnx_layers, second))
         return
     constant = onnx_layers.constants.get(first)
     minus_one = np.array(-1, onnx_layers.dtype)
@@ -84,6 +83,14 @@ def subtract(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "add", [first, node.outputs[0]])
 
 
+def _floating(onnx_layers: OnnxLayers, name: str) -> np.ndarray:
+    """A constant, which must have the type of the network's numbers."""
+    constant = onnx_layers.constants[name]
+    is_floating = constant.dtype == onnx_layers.dtype
+    expect_form(is_floating, f"{name!r} of type {constant.dtype} beside {onnx_layers.dtype}")
+    return constant
+
+
 def negative(onnx_layers: OnnxLayers, node: Node) -> None:
     _scale(onnx_layers, node, node.inputs[0], weight=np.array(-1, onnx_layers.dtype))
 
@@ -92,7 +99,7 @@ def divide(onnx_layers: OnnxLayers, node: Node) -> None:
     first, second = node.inputs
     is_known = second in onnx_layers.constants and first not in onnx_layers.constants
     expect_form(is_known, "a quotient other than of a map by a constant")
-    constant = onnx_layers.constants[second]
+    constant = _floating(onnx_layers, second)
     expect_form(bool((constant != 0).all()), "a quotient by zero")
     inverse = 1 / constant
     _scale(onnx_layers, node, first, weight=inverse.astype(onnx_layers.dtype))
