@@ -376,7 +376,6 @@ REFUSED = [  # what makes it, the beginning of the message
         of_body(lambda m, x: m.logits(m.conv(x) * torch.tensor([1, 2, 3])[:, None, None])),
         "operation 'mul' (mul): a weight of type torch.int64, not floating point, has no compiled",
     ),
-    (of_body(lambda m, x: x), "the module's output: the volume itself has no compiled form"),
     (of_body(squares_the_volume), f"operation 'pow_' (pow_) {FORM}"),
     *((of_body(body), OTHER_NUMBERS) for body in HIDDEN),
     (

@@ -128,6 +128,22 @@ def test_an_output_inside_the_network_has_its_own_numbers():
     assert linear.min() < 0 and small.shape == (3, 2, 2)
 
 
+def test_the_volume_itself_may_be_an_output(tmp_path):
+    class Both(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.net = Net(lambda a, b, c: b)
+
+        def forward(self, x):
+            return x, self.net(x)
+
+    model = Model.from_torch(Both(), SMALL)
+    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
+    for one in (model, load_model(model.save(tmp_path / "m.safetensors"))):
+        same, _ = CompiledNetwork(one)(volume)
+        np.testing.assert_array_equal(same, volume)
+
+
 def test_outputs_for_another_sensor():
     large = raw_model(SMALL).for_sensor((90, 80))
     assert large.output_shapes == {"flow": (2, 60, 50), "half": (3, 30, 25), "mean": (3,)}
@@ -147,8 +163,8 @@ def test_what_is_neither_or_both_is_refused():
     flat = nn.Sequential(nn.Conv2d(2, 3, 3), nn.Flatten())
     with pytest.raises(NotImplementedError, match="'1' is an output, and a flattened map"):
         Model.from_torch(flat, SMALL)
-    with pytest.raises(NotImplementedError, match="the volume itself has no compiled form"):
-        Model.from_torch(nn.Identity(), SMALL)
+    with pytest.raises(ValueError, match="a network must have at least one layer"):
+        Model.from_torch(nn.Identity(), SMALL, ["a"])
     with pytest.raises(NotImplementedError, match="must return a tensor, got none"):
         Model.from_torch(Net(lambda a, b, c: None), SMALL)
     with pytest.raises(ValueError, match="are for a network with one output; leave them out"):

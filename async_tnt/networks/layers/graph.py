@@ -129,15 +129,9 @@ def needed_layers(
 
     Parameters
     ----------
-    outputs : name of an output -> the layer that computes it.
-
-    Raises
-    ------
-    NotImplementedError : the volume itself is an output.
+    outputs : name of an output -> the layer that computes it, or VOLUME.
     """
     needed = set(outputs.values())
-    if VOLUME in needed:
-        raise NotImplementedError("the volume itself has no compiled form")
     kept: list[dict[str, Any]] = []
     for layer in reversed(layers):
         if layer["name"] in needed:
