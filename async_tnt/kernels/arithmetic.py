@@ -48,6 +48,13 @@ class Arithmetic:
         function = cgutils.get_or_insert_function(self._builder.module, kind, name)
         return self._builder.call(function, self._floats(a, b, c))
 
+    def sqrt(self, a: Any) -> ir.Value:
+        """The square root, which IEEE 754 rounds in one way."""
+        name = "llvm.sqrt.f32" if self._lanes is None else f"llvm.sqrt.v{self._lanes}f32"
+        kind = ir.FunctionType(self._kind, [self._kind])
+        function = cgutils.get_or_insert_function(self._builder.module, kind, name)
+        return self._builder.call(function, self._floats(a))
+
     def polynomial(self, x: ir.Value, coefficients: list[float]) -> ir.Value:
         """c0 + x (c1 + x (c2 + ...))"""
         total = self._floats(coefficients[-1])[0]

@@ -192,6 +192,17 @@ def _depth_to_space(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Te
     return F.pixel_shuffle(x, layer["block"])
 
 
+def _layer_norm(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    last = x.movedim(1, -1)  # F.layer_norm is over the last axis
+    given = (weights.get("weight"), weights.get("bias"))
+    return F.layer_norm(last, last.shape[-1:], *given, eps=layer["epsilon"]).movedim(-1, 1)
+
+
+def _group_norm(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    given = (weights.get("weight"), weights.get("bias"))
+    return F.group_norm(x, layer["groups"], *given, eps=layer["epsilon"])
+
+
 def _bilinear_corners(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     block = layer["block"]
     sides = (block * x.shape[2], block * x.shape[3])
@@ -261,6 +272,7 @@ OPERATIONS: dict[str, Operation] = {
     "gelu": _function(F.gelu),
     "gelu_tanh": _gelu_tanh,
     "hardswish": _function(F.hardswish),
+    "erf": _function(torch.erf),
     "hardsigmoid": _function(F.hardsigmoid),
     "max_pool": _max_pool,
     "average_pool": _average_pool,
@@ -271,6 +283,8 @@ OPERATIONS: dict[str, Operation] = {
     "zero_pad": _zero_pad,
     "edge_pad": _edge_pad,
     "depth_to_space": _depth_to_space,
+    "layer_norm": _layer_norm,
+    "group_norm": _group_norm,
     "bilinear_corners": _bilinear_corners,
     "expand": _expand,
     "pick": _pick,

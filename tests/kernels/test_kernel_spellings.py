@@ -249,6 +249,8 @@ EXACT = {
     "gelu": lambda x: x * np.vectorize(math.erfc)(-x / np.sqrt(2)) / 2,
     "gelu_tanh": lambda x: x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3))) / 2,
     "hardswish": lambda x: x * np.clip(x + 3, 0, 6) / 6,
+    "erf": np.vectorize(math.erf),
+    "inverse_sqrt": lambda x: 1 / np.sqrt(x),
 }
 """Name of a function -> the function in float64."""
 
@@ -269,18 +271,26 @@ def test_functions_are_those_of_mathematics(function):
         10 * rng.normal(size=2_000),
         10.0 ** rng.uniform(-20, 20, 2_000),
     ):
-        x = np.float32(np.abs(values) if function == "log1p" else values)
+        x = np.float32(np.abs(values) if function in ("log1p", "inverse_sqrt") else values)
         found = np.array([apply(which, v) for v in x])
         expected = exact(x.astype(np.float64))
         if function.startswith("gelu"):
             size = np.abs(x)
             np.testing.assert_allclose(found / size, expected / size, rtol=1e-6, atol=1e-6)
+        elif function == "erf":
+            np.testing.assert_allclose(found, expected, rtol=8e-7, atol=1e-37)
         else:
             np.testing.assert_allclose(found, expected, rtol=4e-7, atol=1e-37)
 
-    assert apply(which, np.float32(-0.75)) == pytest.approx(exact(np.array([-0.75]))[0], rel=1e-6)
-    assert apply(which, np.float32(0.0)) == exact(np.zeros(1))[0]
-    assert apply(which, np.float32(np.inf)) == (1 if function in ("sigmoid", "tanh") else np.inf)
+    if function == "inverse_sqrt":
+        assert np.isnan(apply(which, np.float32(-0.75)))
+        assert apply(which, np.float32(0.0)) == np.inf
+    else:
+        expected = exact(np.array([-0.75, 0.0]))
+        assert apply(which, np.float32(-0.75)) == pytest.approx(expected[0], rel=1e-6)
+        assert apply(which, np.float32(0.0)) == expected[1]
+    at_infinity = {"sigmoid": 1, "tanh": 1, "erf": 1, "inverse_sqrt": 0}
+    assert apply(which, np.float32(np.inf)) == at_infinity.get(function, np.inf)
     assert np.isnan(apply(which, np.float32(np.nan)))
 
 

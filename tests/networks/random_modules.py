@@ -253,6 +253,11 @@ class _Builder:
             lambda: lambda m, x: _shuffled(torch.cat([x, x], 1)),
             lambda: lambda m, x: torch.cat(torch.cat([x, x], 1).chunk(2, 1)[::-1], 1),
             lambda: lambda m, x: x - x[:, :1],
+            lambda: (
+                lambda m, x: F.layer_norm(x.permute(0, 2, 3, 1), x.shape[1:2]).permute(0, 3, 1, 2)
+            ),
+            lambda: self.part(nn.GroupNorm(self.pick(1, shape[0]), shape[0])),
+            lambda: lambda m, x: torch.erf(x),
             lambda: lambda m, x: 1 - x,
             lambda: lambda m, x: torch.cat([x], 1).clone(),
             lambda: lambda m, x: x[..., ::2, :].contiguous(),

@@ -173,6 +173,18 @@ def _padding(op):
     return draw
 
 
+def _norm(op):
+    def draw(make, source, shape):
+        n = shape[0]
+        weights = {role: make.tensor(n) for role in ("weight", "bias") if make.chance()}
+        more = {}
+        if op == "group_norm":
+            more["groups"] = make.pick([k for k in range(1, n + 1) if n % k == 0])
+        return make.add(op, [source], weights=weights, epsilon=make.pick([1e-5, 0.1]), **more)
+
+    return draw
+
+
 def _bilinear_corners(make, source, shape):
     blocks = [1] + [block for block in (2, 3) if block * max(shape[1:]) < MOST_PLACES]
     return make.add("bilinear_corners", [source], block=make.pick(blocks))
@@ -236,6 +248,8 @@ ON_MAPS = {
     "zero_pad": _padding("zero_pad"),
     "edge_pad": _padding("edge_pad"),
     "depth_to_space": _depth_to_space,
+    "layer_norm": _norm("layer_norm"),
+    "group_norm": _norm("group_norm"),
     "bilinear_corners": _bilinear_corners,
     "expand": _expand,
     "pick": _pick,

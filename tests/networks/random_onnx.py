@@ -162,7 +162,7 @@ class _Builder:
         """An upsampling by the nearest place, in the form of the file's opset."""
         factor = 1.5 if self.chance(0.2) else self.pick(2, 3)
         scales = self.constant(np.array([1, 1, factor, factor], np.float32))
-        mode = "linear" if self.chance(0.2) else "nearest"
+        mode = "linear" if self.chance(0.1) else "nearest"
         if self.opset < 10:
             self.node("Upsample", scales, mode=mode)
         elif self.opset < 11:
@@ -211,6 +211,8 @@ class _Builder:
 
     def arrange(self) -> None:
         """Some channels, or all in another order."""
+        if len(self.shape) != 3:  # a constant of more axes came before
+            return
         n = self.shape[0]
         choice = self.pick("gather", "split", "shuffle")
         if choice == "gather":
@@ -234,13 +236,41 @@ class _Builder:
             self.node("Transpose", perm=perm)
             self.node("Reshape", self.constant(np.int64([self.pick(1, -1), 2 * n, rows, columns])))
 
+    def norm(self) -> None:
+        """A norm over channels, or over groups of them as torch exports it."""
+        if len(self.shape) != 3:  # a constant of more axes came before
+            return
+        n, rows, columns = self.shape
+        choice = self.pick("layer", "group", "instance")
+        if choice == "layer" and self.opset >= 17:
+            self.node("Transpose", perm=[0, 2, 3, 1])
+            axis = 1 if self.chance(0.2) else -1
+            self.node("LayerNormalization", self.weights(n), self.weights(n), axis=axis)
+            if self.pick(True, False):
+                self.node("Tanh")
+                self.node("MatMul", self.weights(n, n))
+                self.node("Add", self.weights(n))
+            self.node("Transpose", perm=[0, 3, 1, 2])
+        elif choice == "group":
+            groups = self.pick(1, n)
+            self.node("Reshape", self.constant(np.int64([self.pick(0, 1), groups, -1])))
+            ones = self.constant(np.ones(groups, np.float32))
+            zeros = self.constant(np.zeros(groups, np.float32))
+            self.node("InstanceNormalization", ones, zeros, epsilon=0.01)
+            self.node("Reshape", self.constant(np.int64([1, n, rows, columns])))
+            self.node("Mul", self.weights(n, 1, 1))
+        else:
+            self.node("InstanceNormalization", self.weights(n), self.weights(n))
+        if self.opset >= 9 and self.pick(True, False):
+            self.node("Erf")
+
     def affine(self) -> None:
         n = self.shape[0]
         rest = [1] * (len(self.shape) - 1)
         shape = self.pick((), (1,), (n, *rest), (1, n, *rest), (1,) * 4)
         if self.chance(0.3):
             shape = self.pick((self.shape[-1],), (1, 1, 1, n, *rest), (2, n, *rest))
-        if self.chance(0.2):
+        if self.chance(0.5):
             self.node(self.pick("Neg", "Abs"))
         if self.chance(0.1) and len(self.shape) == 3:
             axes = self.pick([1], [-3], [2] if self.chance(0.3) else [1])
@@ -472,7 +502,8 @@ GAPS = {
     "ReduceSum": lambda of: 2 in (of.get("axes", None) or of.constants[0].tolist()),
     "Gather": lambda of: of.get("axis", 0) != 1,
     "Split": lambda of: of.get("axis", 0) not in (1, -3),
-    "Transpose": lambda of: list(of.get("perm", [])) != [0, 2, 1, 3, 4],
+    "Transpose": lambda of: list(of.get("perm", [])) == [0, 1, 2, 4, 3],
+    "LayerNormalization": lambda of: of.get("axis", -1) != -1,
     "Resize": _grows_otherwise,
     "Upsample": _grows_otherwise,
     "Concat": lambda of: of.get("axis", 0) not in (1, -3),
@@ -559,6 +590,8 @@ def _has_other_constants(of: _Of) -> bool:
     if of.op not in ("Add", "Sum", "Sub", "Mul", "Div", "PRelu") or not of.constants:
         return False
     sides = list(of.constants[0].shape)
+    if len(sides) > len(of.source):
+        return True
     while sides[:1] == [1]:
         sides = sides[1:]
     return bool(sides) and sides != [*of.source[1:2], *[1] * (len(of.source) - 2)]
@@ -579,6 +612,7 @@ def random_onnx(seed: int) -> onnx.ModelProto:
         builder.frame,
         builder.every,
         builder.arrange,
+        builder.norm,
     )
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value

@@ -10,6 +10,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from async_tnt import CompiledNetwork, Model, TNTConfig, TNTVolume
+from async_tnt.base.box import Box
 from async_tnt.networks.layers.upsampling import corner_taps
 from async_tnt.networks.onnx.from_onnx import layers_from_onnx
 from async_tnt.networks.torch.from_torch import check_torch_layers, layers_from_torch
@@ -25,10 +26,23 @@ class Body(nn.Module):
         self.conv = nn.Conv2d(4, 8, 3, padding=1)
         self.other = nn.Conv2d(8, 8, 1)
         self.filters = nn.Parameter(torch.randn(8, 1, 3, 3))
+        self.gamma = nn.Parameter(torch.randn(8))
+        self.layer_norm = nn.LayerNorm(8)
+        self.group_norm = nn.GroupNorm(4, 8)
+        self.instance_norm = nn.InstanceNorm2d(8, affine=True)
+        for norm in (self.layer_norm, self.group_norm, self.instance_norm):
+            nn.init.normal_(norm.weight)
+            nn.init.normal_(norm.bias)
+        self.wide = nn.Linear(8, 20)
+        self.narrow = nn.Linear(20, 8)
         self.body = body
 
     def forward(self, x):
         return self.body(self, self.conv(x))
+
+
+def last(h):
+    return h.permute(0, 2, 3, 1)
 
 
 def shuffled(m, h):
@@ -69,6 +83,17 @@ BODIES = {
     "one place at all places": lambda m, h: F.interpolate(
         h.mean((2, 3), keepdim=True), size=h.shape[2:], mode="bilinear"
     ),
+    "layer norm": lambda m, h: m.layer_norm(h.permute(0, 2, 3, 1)).permute(0, 3, 1, 2),
+    "block of a ConvNeXt": lambda m, h: (
+        h
+        + m.gamma[:, None, None]
+        * (m.narrow(F.gelu(m.wide(m.layer_norm(last(h))))) * m.gamma).permute(0, 3, 1, 2)
+    ),
+    "group norm": lambda m, h: m.group_norm(h),
+    "group norm of one group": lambda m, h: F.group_norm(h, 1),
+    "instance norm": lambda m, h: m.instance_norm(h),
+    "layer norm of a vector": lambda m, h: m.layer_norm(h.mean((2, 3))),
+    "error function": lambda m, h: torch.erf(h),
     "filters of its own": lambda m, h: F.conv2d(h, 2 * m.filters, padding=1, groups=8),
 }
 """What is done with a map (8, 6, 10)."""
@@ -129,6 +154,36 @@ def test_a_gate_by_hand():
     assert array[2, 3, 4] == pytest.approx(3.0 * 3.0 / 60) and np.count_nonzero(array) == 1
 
 
+def test_a_layer_norm_by_hand():
+    """Channels 1, 2, 3 and 6 have the mean 3 and the variance 3.5."""
+    model = Model.from_torch(LastNorm(), CONFIG)
+    volume = np.float32([1, 2, 3, 6])[:, None, None] + np.zeros(CONFIG.shape, np.float32)
+    (array,) = CompiledNetwork(model)(volume)
+    np.testing.assert_allclose(array[:, 0, 0], np.array([-2, -1, 0, 3]) / 3.5**0.5, rtol=1e-5)
+
+
+def test_a_change_behind_a_layer_norm_stays_where_it_is():
+    network = CompiledNetwork(Model.from_torch(LastNorm(), CONFIG))
+    volume = TNTVolume(CONFIG)
+    volume.open(0)
+    network.refresh(volume)
+    volume.update_one(10, 7, 3, 1)
+    network.refresh(volume)
+    assert network.changed == (Box(7, 3, 8, 4),)
+
+
+class LastNorm(nn.Module):
+    """A layer norm without weights."""
+
+    def forward(self, x):
+        return F.layer_norm(last(x), (4,)).permute(0, 3, 1, 2)
+
+
+def test_a_sum_of_a_stack():
+    body = Body(lambda m, h: torch.stack([h, m.other(h), h]).sum(dim=0)).eval()
+    check_torch_layers(body, layers_from_torch(body, CONFIG.shape), CONFIG.shape)
+
+
 def test_a_shuffle_by_hand():
     """Four groups of two: the first of each, then the second of each."""
     model = Model.from_torch(nn.Sequential(nn.ChannelShuffle(2)), CONFIG)
@@ -152,6 +207,12 @@ def test_corners_lie_on_each_other(n, factor):
     [
         (lambda m, h: h[:, [0, 2]], "the index"),
         (lambda m, h: h.transpose(1, 2), "a transposition"),
+        (lambda m, h: last(h), "a tensor with its channels last"),
+        (lambda m, h: F.max_pool2d(last(h), 2), "a tensor with its channels last"),
+        (lambda m, h: h + last(h)[:, :1, :1], "a tensor with its channels last"),
+        (lambda m, h: h.permute(0, 3, 2, 1), "a permutation by"),
+        (lambda m, h: F.layer_norm(h, (10,)), "a layer norm over"),
+        (lambda m, h: torch.stack([h, h]).relu(), "a stack or tuple of maps"),
         (lambda m, h: h.view(1, 2, 4, 6, 10).relu(), "a view of channels in groups"),
         (lambda m, h: h.view(1, 2, 4, 6, 10), "a view of channels in groups"),
         (lambda m, h: h.view(1, 4, 12, 10), "a view other than"),

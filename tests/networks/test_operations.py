@@ -37,6 +37,8 @@ PARAMETERS = {
     "sum_pool": WINDOW,
     "inside_average_pool": WINDOW,
     "adaptive_average_pool": {"size": [4, 3]},
+    "layer_norm": {"epsilon": 1e-3},
+    "group_norm": {"epsilon": 1e-3, "groups": 2},
     "zero_pad": {"padding": [1, 0, 2, 1]},
     "edge_pad": {"padding": [1, 0, 2, 1]},
     "depth_to_space": {"block": 2},
@@ -60,6 +62,8 @@ WEIGHTS = {
     "dense": {"weight": (3, 4), "bias": (3,)},
     "batch_norm": {"mean": (4,), "variance": (4,), "weight": (4,), "bias": (4,)},
     "prelu": {"slope": (4,)},
+    "layer_norm": {"weight": (4,), "bias": (4,)},
+    "group_norm": {"weight": (4,), "bias": (4,)},
 }
 """Operation -> the shapes of its example's weights."""
 ONE_PLACE = {

@@ -1,8 +1,9 @@
 """Functions of one float32 that networks apply to each value: logarithm, sigmoid, GELU and others.
 
-They are written here with additions, products, divisions and comparisons alone, each of which IEEE
-754 rounds in one way. The functions of a library differ in their last bits from one machine to the
-next. Errors are at most a few units in the last place, but for results below 1e-37, and for Phi.
+They are written here with additions, products, divisions, square roots and comparisons alone, each
+of which IEEE 754 rounds in one way. The functions of a library differ in their last bits from one
+machine to the next. Errors are at most a few units in the last place, but for results below 1e-37,
+and for Phi.
 
     exp        e^x = 2^n e^r,  n = round(x / log 2),  |r| <= log 2 / 2
                e^r by its series up to r^7 / 7!
@@ -14,6 +15,8 @@ next. Errors are at most a few units in the last place, but for results below 1e
     gelu       x Phi(x), with Phi by Abramowitz and Stegun 1964, 7.1.26 (absolute error 1.5e-7)
     gelu_tanh  x (1 + tanh(u)) / 2 = x sigmoid(2 u),  u = sqrt(2 / pi) (x + 0.044715 x^3)
     hardswish  x clip(x + 3, 0, 6) / 6
+    erf        2 Phi(sqrt 2 x) - 1, with the same Phi; where |x| < 0.4, by its series up to x^9
+    inverse_sqrt  1 / sqrt x
 """
 
 from __future__ import annotations
@@ -96,11 +99,16 @@ def _silu(a: Arithmetic, x: ir.Value) -> ir.Value:
     return _times_sigmoid(a, x, x)
 
 
-def _gelu(a: Arithmetic, x: ir.Value) -> ir.Value:
+def _tail(a: Arithmetic, x: ir.Value) -> ir.Value:
+    """Phi(-|x|)."""
     size = a.where(x, "<", 0.0, a.mul(x, -1.0), x)
     t = a.div(1.0, a.fma(size, 0.3275911 / math.sqrt(2), 1.0))
     series = a.polynomial(t, [0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429])
-    tail = a.mul(a.mul(a.mul(series, t), 0.5), _exp(a, a.mul(a.mul(x, x), -0.5)))  # Phi(-|x|)
+    return a.mul(a.mul(a.mul(series, t), 0.5), _exp(a, a.mul(a.mul(x, x), -0.5)))
+
+
+def _gelu(a: Arithmetic, x: ir.Value) -> ir.Value:
+    tail = _tail(a, x)
     return a.mul(x, a.where(x, "<", 0.0, tail, a.sub(1.0, tail)))
 
 
@@ -113,6 +121,19 @@ def _hardswish(a: Arithmetic, x: ir.Value) -> ir.Value:
     return a.mul(a.mul(x, a.clip(a.add(x, 3.0), 0.0, 6.0)), 1 / 6)
 
 
+def _erf(a: Arithmetic, x: ir.Value) -> ir.Value:
+    z = a.mul(x, x)
+    terms = [(-1) ** k / (math.factorial(k) * (2 * k + 1)) for k in range(5)]
+    near = a.mul(a.mul(x, a.polynomial(z, terms)), 2 / math.sqrt(math.pi))
+    size = a.fma(_tail(a, a.mul(x, math.sqrt(2))), -2.0, 1.0)
+    far = a.where(x, "<", 0.0, a.mul(size, -1.0), size)
+    return a.where(z, "<", 0.16, near, far)
+
+
+def _inverse_sqrt(a: Arithmetic, x: ir.Value) -> ir.Value:
+    return a.div(1.0, a.sqrt(x))
+
+
 FUNCTIONS: dict[str, Callable[[Arithmetic, ir.Value], ir.Value]] = {
     "log1p": _log1p,
     "sigmoid": _sigmoid,
@@ -121,6 +142,8 @@ FUNCTIONS: dict[str, Callable[[Arithmetic, ir.Value], ir.Value]] = {
     "gelu": _gelu,
     "gelu_tanh": _gelu_tanh,
     "hardswish": _hardswish,
+    "erf": _erf,
+    "inverse_sqrt": _inverse_sqrt,
 }
 """Name -> instructions. A program holds their places in this table."""
 

@@ -147,6 +147,7 @@ ACTIVATIONS = (
     _function("gelu", "x (1 + erf(x / sqrt 2)) / 2."),
     _function("gelu_tanh", "x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3))) / 2."),
     _function("hardswish", "x clip(x + 3, 0, 6) / 6."),
+    _function("erf", "The error function."),
     Operation(
         name="hardsigmoid",
         description="clip(x / 6 + 1/2, 0, 1).",

@@ -13,6 +13,7 @@ from __future__ import annotations
 from async_tnt.networks.layers.activations import ACTIVATIONS
 from async_tnt.networks.layers.joining import JOINING
 from async_tnt.networks.layers.linear import LINEAR
+from async_tnt.networks.layers.norms import NORMS
 from async_tnt.networks.layers.operation import Operation
 from async_tnt.networks.layers.padding import PADDINGS
 from async_tnt.networks.layers.pooling import POOLING
@@ -20,7 +21,7 @@ from async_tnt.networks.layers.upsampling import UPSAMPLING
 
 OPERATIONS: dict[str, Operation] = {
     operation.name: operation
-    for operation in (*LINEAR, *ACTIVATIONS, *POOLING, *PADDINGS, *UPSAMPLING, *JOINING)
+    for operation in (*LINEAR, *ACTIVATIONS, *POOLING, *PADDINGS, *NORMS, *UPSAMPLING, *JOINING)
 }
 """Name -> operation, in the order in which messages and pages list them."""
 

@@ -9,7 +9,14 @@ import numpy as np
 
 from async_tnt.networks.layers.conversion_check import expect_form
 from async_tnt.networks.layers.picking import picked, sum_weight
-from async_tnt.networks.onnx.layers import Grouped, Node, OnnxLayers, without_leading_ones
+from async_tnt.networks.onnx.layers import (
+    FlatGroups,
+    Grouped,
+    Node,
+    OnnxLayers,
+    without_leading_ones,
+)
+from async_tnt.networks.onnx.norms import transpose_channels
 
 # -- sums, products, concatenations ----------------------------------------------------------------
 
@@ -54,10 +61,14 @@ def _scale(onnx_layers: OnnxLayers, node: Node, source: str, **constants: np.nda
     """
     n_channels, *sides_of_map = onnx_layers.shape(source)
     channel_shape = (n_channels, *[1] * len(sides_of_map))
+    if source in onnx_layers.channels_last:
+        channel_shape = (n_channels,)
     zeros = np.zeros(n_channels, onnx_layers.dtype)
     tensors = {"mean": zeros, "variance": zeros + 1}
     for role, constant in constants.items():
-        fits = without_leading_ones(constant.shape) in ((), channel_shape)
+        # a constant of more axes would give the value more axes
+        fits = constant.ndim <= 2 + len(sides_of_map)
+        fits &= without_leading_ones(constant.shape) in ((), channel_shape)
         expect_form(fits, f"a constant of shape {constant.shape} here")
         tensors[role] = np.broadcast_to(constant.reshape(-1), n_channels)
     weights = {
@@ -72,7 +83,7 @@ def subtract(onnx_layers: OnnxLayers, node: Node) -> None:
     first, second = node.inputs
     if second in onnx_layers.constants:
         expect_form(first not in onnx_layers.constants, "a difference of constants")
-        _scale(onnx_layers, node, first, bias=-_floating(onnx_layers, second))
+        _scale(onnx_layers, node, first, bias=-onnx_layers.floating(second))
         return
     constant = onnx_layers.constants.get(first)
     minus_one = np.array(-1, onnx_layers.dtype)
@@ -83,14 +94,6 @@ def subtract(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "add", [first, node.outputs[0]])
 
 
-def _floating(onnx_layers: OnnxLayers, name: str) -> np.ndarray:
-    """A constant, which must have the type of the network's numbers."""
-    constant = onnx_layers.constants[name]
-    is_floating = constant.dtype == onnx_layers.dtype
-    expect_form(is_floating, f"{name!r} of type {constant.dtype} beside {onnx_layers.dtype}")
-    return constant
-
-
 def negative(onnx_layers: OnnxLayers, node: Node) -> None:
     _scale(onnx_layers, node, node.inputs[0], weight=np.array(-1, onnx_layers.dtype))
 
@@ -99,7 +102,7 @@ def divide(onnx_layers: OnnxLayers, node: Node) -> None:
     first, second = node.inputs
     is_known = second in onnx_layers.constants and first not in onnx_layers.constants
     expect_form(is_known, "a quotient other than of a map by a constant")
-    constant = _floating(onnx_layers, second)
+    constant = onnx_layers.floating(second)
     expect_form(bool((constant != 0).all()), "a quotient by zero")
     inverse = 1 / constant
     _scale(onnx_layers, node, first, weight=inverse.astype(onnx_layers.dtype))
@@ -252,7 +255,13 @@ def reshape(onnx_layers: OnnxLayers, node: Node) -> None:
     shape = _new_shape(onnx_layers, node, target.tolist())
     source = node.inputs[0]
     grouped = onnx_layers.grouped.get(source)
-    if grouped is not None:
+    flat = onnx_layers.flat_groups.get(source)
+    if flat is not None:
+        is_whole = shape == (1, *own_shape) and flat.epsilon is not None
+        expect_form(is_whole, f"a reshape of groups to {target.tolist()}")
+        given = {"weights": {}, "groups": flat.groups, "epsilon": flat.epsilon}
+        onnx_layers.add(node, "group_norm", [flat.source], **given)
+    elif grouped is not None:
         is_shuffle = shape == (1, *own_shape) and grouped.is_transposed
         expect_form(is_shuffle, f"a reshape of groups of channels to {target.tolist()}")
         channels = np.arange(own_shape[0])
@@ -262,6 +271,8 @@ def reshape(onnx_layers: OnnxLayers, node: Node) -> None:
         onnx_layers.add(node, "flatten", node.inputs[:1])
     elif shape == (1, *own_shape):
         onnx_layers.alias(node, source)
+    elif len(shape) == 3 and len(own_shape) == 3 and own_shape[0] % shape[1] == 0:
+        onnx_layers.flat_groups[node.outputs[0]] = FlatGroups(source, shape[1])
     else:
         is_grouped = len(shape) == 5 and shape[3:] == own_shape[1:] and shape[0] == 1
         words = f"a reshape to {target.tolist()}, not (n, -1), one row a volume,"
@@ -293,8 +304,11 @@ def _new_shape(onnx_layers: OnnxLayers, node: Node, target: list[int]) -> tuple[
 
 
 def transpose(onnx_layers: OnnxLayers, node: Node) -> None:
-    """Note that the groups of channels are transposed, see `reshape`."""
+    """Note that the groups of channels are transposed, see `reshape`, or that channels are last."""
     grouped = onnx_layers.grouped.get(node.inputs[0])
+    if len(node.get("perm", [])) == 4:
+        transpose_channels(onnx_layers, node)
+        return
     is_known = list(node.get("perm", [])) == [0, 2, 1, 3, 4] and grouped is not None
     expect_form(is_known, f"a transposition by {node.get('perm')}")
     assert grouped is not None

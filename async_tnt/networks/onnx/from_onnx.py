@@ -14,7 +14,12 @@ import numpy as np
 
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.messages import one_line
-from async_tnt.networks.layers.conversion_check import TOLERANCE, Function, compare
+from async_tnt.networks.layers.conversion_check import (
+    TOLERANCE,
+    Function,
+    compare,
+    expect_form,
+)
 from async_tnt.networks.layers.graph import (
     CLASSIFIER,
     VOLUME,
@@ -31,6 +36,7 @@ from async_tnt.networks.onnx.constant_folding import is_folded
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.networks.onnx.network import open_session
+from async_tnt.networks.onnx.norms import note_axes
 from async_tnt.networks.onnx.operations import RULES
 from async_tnt.volume.config import TNTConfig
 
@@ -236,6 +242,8 @@ def layers_from_onnx(
                 raise NotImplementedError(f"{node.where}: {error}") from None
     refused.raise_if_any()
     try:
+        are_maps = onnx_layers.channels_last.isdisjoint(output_names)
+        expect_form(are_maps, "a value with its channels last")
         outputs = {name: onnx_layers.layer_name(name) for name in output_names}
         read = needed_layers(onnx_layers.layers, onnx_layers.tensors, outputs)
         layer_shapes(read.layers, shape, _shapes(read.weights), list(outputs.values()))
@@ -263,6 +271,7 @@ def _read(onnx_layers: OnnxLayers, node: Node, is_ending_softmax: bool) -> None:
             if node.op == "Softmax":
                 advice = "; at the end of a network of `classes` it is left out"
             raise RefusedError(node.op, f"{node.where} has no compiled form{advice}")
+        note_axes(onnx_layers, node)
         rule(onnx_layers, node)
     except RefusedError:
         raise

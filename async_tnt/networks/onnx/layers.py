@@ -60,6 +60,16 @@ def without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
     return shape
 
 
+class FlatGroups(NamedTuple):
+    """A map as (groups, numbers of a group), see `norms.instance_norm`."""
+
+    source: str
+    """The value of the map itself."""
+    groups: int
+    epsilon: float | None = None
+    """Of the norm of each group, once it has been read."""
+
+
 class OnnxLayers:
     """The layers that a graph's nodes have become so far, and the weights of these layers.
 
@@ -76,6 +86,8 @@ class OnnxLayers:
     dtype : type of the network's input and weights.
     names : name of a value -> the layer that computes the value.
     grouped : name of a value -> the map whose channels it has in groups.
+    flat_groups : name of a value -> the map whose groups of channels are its rows.
+    channels_last : names of the values that have their channels as last axis.
     """
 
     def __init__(
@@ -90,6 +102,8 @@ class OnnxLayers:
         self.tensors: dict[str, np.ndarray] = {}
         self.names = {input_name: VOLUME}
         self.grouped: dict[str, Grouped] = {}
+        self.flat_groups: dict[str, FlatGroups] = {}
+        self.channels_last: set[str] = set()
         self.constants = dict(constants)
         self.opset = opset
         self._shape = shape
@@ -138,9 +152,14 @@ class OnnxLayers:
         return {"op": VOLUME, "inputs": []}
 
     def shape(self, value: str) -> tuple[int, ...]:
-        """The shape of a value, (C, H, W) or (N,); of channels in groups that of the map itself."""
+        """The shape of a value, (C, H, W) or (N,).
+
+        Of channels in groups, or as last axis, it is that of the map itself.
+        """
         if value in self.grouped:
             value = self.grouped[value].source
+        if value in self.flat_groups:
+            value = self.flat_groups[value].source
         tensors = {name: values.shape for name, values in self.tensors.items()}
         return layer_shapes(self.layers, self._shape, tensors, outputs=())[self.layer_name(value)]
 
@@ -156,6 +175,13 @@ class OnnxLayers:
         if name not in self.constants:
             raise NotImplementedError(f"its input {name!r} is not a constant")
         return self.constants[name]
+
+    def floating(self, name: str) -> np.ndarray:
+        """A constant, which must have the type of the network's numbers."""
+        constant = self.constants[name]
+        is_floating = constant.dtype == self.dtype
+        expect_form(is_floating, f"{name!r} of type {constant.dtype} beside {self.dtype}")
+        return constant
 
     def tensor(self, name: str, values: np.ndarray) -> str:
         """Keep a tensor; returns the name under which it is kept.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from async_tnt.networks.onnx import arranging
+from async_tnt.networks.onnx import arranging, norms
 from async_tnt.networks.onnx import read_rules as read
 from async_tnt.networks.onnx import write_rules as write
 from async_tnt.networks.onnx.read_rules import ReadRule, plain_layer
@@ -71,6 +71,7 @@ FORMS: dict[str, OnnxForm] = {
     "silu": OnnxForm({"Mul": arranging.multiply}, write.write_silu),
     "gelu": OnnxForm({"Gelu": read.gelu}, write.write_gelu),
     "gelu_tanh": OnnxForm({"Gelu": read.gelu}, write.write_gelu_tanh),
+    "erf": OnnxForm({"Erf": plain_layer("erf")}, plain_node("Erf")),
     "hardswish": OnnxForm({"HardSwish": plain_layer("hardswish")}, write.write_hardswish),
     "hardsigmoid": OnnxForm(
         {"HardSigmoid": read.hardsigmoid}, plain_node("HardSigmoid", alpha=1 / 6, beta=0.5)
@@ -101,6 +102,8 @@ FORMS: dict[str, OnnxForm] = {
         {"DepthToSpace": arranging.depth_to_space, "Resize": read.resize, "Upsample": read.resize},
         write.write_depth_to_space,
     ),
+    "layer_norm": OnnxForm({"LayerNormalization": norms.layer_norm}, norms.write_layer_norm),
+    "group_norm": OnnxForm({"InstanceNormalization": norms.instance_norm}, norms.write_group_norm),
     "zero_pad": OnnxForm({"Pad": read.pad}, write.write_pad("constant")),
     "edge_pad": OnnxForm({"Pad": read.pad}, write.write_pad("edge")),
     "bilinear_corners": OnnxForm(

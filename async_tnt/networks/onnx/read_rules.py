@@ -56,7 +56,10 @@ def conv_transpose(onnx_layers: OnnxLayers, node: Node) -> None:
     auto_pad = node.get("auto_pad", "NOTSET")
     expect_form(auto_pad in ("NOTSET", "VALID"), f"auto_pad {auto_pad}")
     expect_form(node.get("output_shape") is None, "output_shape")
+    weight = onnx_layers.floating(node.inputs[1])
     bias = onnx_layers.constant(node, 2)
+    if bias is not None:
+        bias = onnx_layers.floating(node.inputs[2])
     enlarging = transposed_convolution(
         weight,
         bias,
@@ -179,8 +182,28 @@ def gemm(onnx_layers: OnnxLayers, node: Node) -> None:
 
 
 def matmul(onnx_layers: OnnxLayers, node: Node) -> None:
+    if node.inputs[0] in onnx_layers.channels_last:
+        _dense_of_last(onnx_layers, node)
+        return
     weight = onnx_layers.tensor(node.inputs[1], _matrix(onnx_layers, node).T)
     onnx_layers.add(node, "dense", node.inputs[:1], weights={"weight": weight})
+
+
+def _dense_of_last(onnx_layers: OnnxLayers, node: Node) -> None:
+    """Add a convolution of one place for a product over the channels as last axis."""
+    weight = _matrix(onnx_layers, node).T[:, :, np.newaxis, np.newaxis]
+    name = onnx_layers.tensor(f"{node.inputs[1]}.filters", weight)
+    onnx_layers.add(
+        node,
+        "conv",
+        node.inputs[:1],
+        weights={"weight": name},
+        kernel=[1, 1],
+        stride=[1, 1],
+        padding=[0, 0, 0, 0],
+        dilation=[1, 1],
+        groups=1,
+    )
 
 
 def _matrix(onnx_layers: OnnxLayers, node: Node) -> np.ndarray:

@@ -81,12 +81,16 @@ def _affine(layer_list: LayerList, call: Call, x: Any, **constants: torch.Tensor
     constants |= {"mean": torch.zeros(1), "variance": torch.ones(1)}
     channels, *sides = layer_list.shape(x)
     channel_shape = [channels, *[1] * len(sides)]
+    if x in layer_list.channels_last:
+        channel_shape = [channels]
     weights = {}
     for role, values in constants.items():
         shape = list(values.shape)
         while shape[:1] == [1]:
             del shape[0]
-        expect_form(shape in ([], channel_shape), f"a constant of shape {list(values.shape)} here")
+        # a constant of more axes would give the value more axes
+        fits = values.dim() <= 2 + len(sides) and shape in ([], channel_shape)
+        expect_form(fits, f"a constant of shape {list(values.shape)} here")
         name = (
             f"{layer_list.prefix}{call.node.name}().{role}"  # no module's tensor has () in its name
         )
@@ -96,8 +100,11 @@ def _affine(layer_list: LayerList, call: Call, x: Any, **constants: torch.Tensor
 
 
 def sum_of_channels(layer_list: LayerList, call: Call) -> str:
-    """Add a convolution of one place for x.sum(1, keepdim=True)."""
+    """Add a convolution of one place for x.sum(1, keepdim=True), or a sum for stack(...).sum(0)."""
     axes = call["dim"]
+    parts = layer_list.parts.get(call["input"])
+    if parts is not None and axes in (0, (0,), [0]) and not call["keepdim"]:
+        return parts[0] if len(parts) == 1 else layer_list.add("add", call, parts)
     channels, *sides = layer_list.shape(call["input"])
     is_known = axes in (1, (1,), [1], -3) and call["keepdim"] and len(sides) == 2
     expect_form(is_known, f"a sum over {axes}, not of the channels of a map (1, keepdim),")
@@ -172,6 +179,13 @@ def _pick_places(
     name = f"{layer_list.prefix}{call.node.name}().weight"
     layer_list.weights[name] = weight
     return layer_list.add("conv", call, [source], weights={"weight": name}, **parameters)
+
+
+def stack(layer_list: LayerList, call: Call) -> str:
+    """Note the parts of torch.stack([...]), which `sum_of_channels` adds: no layer is added."""
+    expect_form(call["dim"] == 0, f"a stack along axis {call['dim']}, not 0,")
+    layer_list.parts[call.node] = [layer_list.source(one) for one in call["tensors"]]
+    return layer_list.parts[call.node][0]
 
 
 def chunk(layer_list: LayerList, call: Call) -> str:

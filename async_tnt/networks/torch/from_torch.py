@@ -17,16 +17,18 @@ from torch.fx.node import map_arg
 
 from async_tnt.base.checks import ParameterTypeError
 from async_tnt.base.messages import one_line
-from async_tnt.networks.layers.conversion_check import Function, compare
+from async_tnt.networks.layers.conversion_check import Function, compare, expect_form
 from async_tnt.networks.layers.graph import VOLUME, ReadNetwork, layer_shapes
 from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.torch.form import TorchForm
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
 from async_tnt.networks.torch.operations import (
+    CHANNELS_LAST,
     FUNCTIONS,
     FUNCTIONS_BY_NAME,
     METHODS,
     MODULES,
+    PERMUTE,
 )
 from async_tnt.networks.torch.outputs import named_outputs
 from async_tnt.networks.torch.tracing import Tracer
@@ -270,6 +272,7 @@ class _Conversion:
             raise RefusedError(kind, f"{where} has no compiled form{advice}")
         try:
             call = Call(node, self._with_tensors(form.arguments(node, module)), module)
+            self._note_axes(node, form)
             if node.users or call.written is not None:
                 name = form.rule(self._layer_list, call)
                 if call.written is not None:
@@ -279,6 +282,17 @@ class _Conversion:
                 self._layer_list.names[node] = name
         except NotImplementedError as error:
             raise RefusedError(f"{kind}: {error}", f"{where}: {error}") from None
+
+    def _note_axes(self, node: fx.Node, form: TorchForm) -> None:
+        """Note that a call keeps its channels last, or refuse it if it cannot."""
+        channels_last = self._layer_list.channels_last
+        computed = [one for one in node.all_input_nodes if one in self._layer_list.names]
+        if form is PERMUTE or not channels_last.intersection(computed):
+            return
+        can_be_last = any(form is one for one in CHANNELS_LAST)
+        can_be_last &= channels_last.issuperset(computed)
+        expect_form(can_be_last, "a tensor with its channels last")
+        channels_last.add(node)
 
     def _write(self, node: fx.Node, written: fx.Node, name: str) -> None:
         """Record that a call changes a tensor in place.

@@ -64,6 +64,8 @@ class LayerList:
     ----------
     names : node -> the layer that computes the node's value.
     parts : node whose value is a tuple -> the layers that compute the parts.
+    channels_last : nodes whose value has its channels as last axis. Their layers compute the map
+        with the channels as first axis.
     grouped : node that is a view of a map with its channels in groups -> the groups. Its layer
         computes the map itself.
     """
@@ -75,6 +77,7 @@ class LayerList:
         self.weights: dict[str, np.ndarray] = {}
         self.names: dict[fx.Node, str] = {}
         self.parts: dict[fx.Node, list[str]] = {}
+        self.channels_last: set[fx.Node] = set()
         self.grouped: dict[fx.Node, Grouped] = {}
 
     def add(
@@ -105,6 +108,7 @@ class LayerList:
         if isinstance(node, str):
             return node
         expect_form(node not in self.grouped, "a view of channels in groups")
+        expect_form(node not in self.parts, "a stack or tuple of maps here")
         return self.source_of_view(node)
 
     def source_of_view(self, node: Any) -> str:
@@ -125,6 +129,8 @@ class LayerList:
 
     def needed_for(self, outputs: Mapping[str, fx.Node]) -> ReadNetwork:
         """The layers that compute the values of some nodes, see `needed_layers`."""
+        for node in outputs.values():
+            expect_form(node not in self.channels_last, "a tensor with its channels last")
         layers = {name: self.source(node) for name, node in outputs.items()}
         return needed_layers(self.layers, self.weights, layers)
 

@@ -14,7 +14,7 @@ from tnt_reference import heatmap_centroid
 from torch import nn
 from torch.nn import functional as F
 
-from async_tnt.networks.torch import arranging, rules
+from async_tnt.networks.torch import arranging, norms, rules
 from async_tnt.networks.torch.form import INPLACE, TorchForm, plain_layer, same_layer
 
 
@@ -241,6 +241,7 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     ),
     "gelu": (GELU,),
     "gelu_tanh": (GELU,),
+    "erf": (TorchForm(plain_layer("erf"), functions=(torch.erf,), methods=("erf", "erf_")),),
     "hardswish": (
         TorchForm(
             plain_layer("hardswish"),
@@ -296,6 +297,23 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     ),
     "bilinear_corners": (UPSAMPLE,),
     "expand": (UPSAMPLE,),
+    "layer_norm": (
+        TorchForm(
+            norms.layer_norm,
+            modules=(nn.LayerNorm,),
+            functions=(F.layer_norm, torch.layer_norm),
+            parameters={"normalized_shape": None, "weight": None, "bias": None, "eps": 1e-5},
+        ),
+    ),
+    "group_norm": (
+        TorchForm(
+            norms.group_norm,
+            modules=(nn.GroupNorm,),
+            functions=(F.group_norm,),
+            parameters={"num_groups": None, "weight": None, "bias": None, "eps": 1e-5},
+        ),
+        TorchForm(norms.instance_norm, modules=(nn.InstanceNorm2d,)),
+    ),
     "zero_pad": (
         TorchForm(
             rules.pad_module("zero_pad"),
@@ -346,6 +364,12 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
     "add": (ADD, SUBTRACT),
     "concat": (
         TorchForm(
+            arranging.stack,
+            functions=(torch.stack,),
+            parameters={"dim": 0},
+            inputs=("tensors",),
+        ),
+        TorchForm(
             arranging.concatenate,
             functions=(torch.cat, torch.concat, torch.concatenate),
             parameters={"dim": 0},
@@ -376,6 +400,14 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
 The arguments of some calls decide which operation they become. Each of these operations lists the
 form of such calls."""
 
+PERMUTE = TorchForm(
+    norms.permute,
+    functions=(torch.permute,),
+    methods=("permute",),
+    arguments_of=norms.permute_arguments,
+    may_share=True,
+)
+
 PASSED_ON = (
     TorchForm(
         rules.dropout,
@@ -388,6 +420,7 @@ PASSED_ON = (
     TorchForm(
         same_layer, methods=("contiguous",), parameters={"memory_format": None}, may_share=True
     ),
+    PERMUTE,
     TorchForm(
         same_layer,
         functions=(torch.clone,),
@@ -396,6 +429,34 @@ PASSED_ON = (
     ),
 )
 """The forms of calls that pass their input on: such a call becomes no layer."""
+
+NUMBER_BY_NUMBER = (
+    "relu",
+    "leaky_relu",
+    "clip",
+    "softshrink",
+    "log1p",
+    "sigmoid",
+    "tanh",
+    "silu",
+    "gelu",
+    "erf",
+    "hardswish",
+    "hardsigmoid",
+    "multiply",
+    "add",
+    "batch_norm",
+    "dense",
+    "layer_norm",
+)
+"""Operations whose forms take tensors with their channels last, too, or check it themselves."""
+
+CHANNELS_LAST = [
+    form
+    for form in (*(form for name in NUMBER_BY_NUMBER for form in FORMS[name]), *PASSED_ON)
+    if nn.BatchNorm2d not in form.modules
+]
+"""The forms of calls that may have an input with its channels last."""
 
 ALL_FORMS = (*(form for forms in FORMS.values() for form in forms), *PASSED_ON)
 

@@ -19,6 +19,7 @@ from async_tnt.networks.layers.enlarging import (
 from async_tnt.networks.layers.uneven_windows import padding_of_ceil_mode
 from async_tnt.networks.torch.form import Rule, same_layer
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
+from async_tnt.networks.torch.norms import linear_of_last
 
 
 def _pair(value: Any) -> list[int]:
@@ -166,13 +167,16 @@ def _enlarge(
 
 
 def linear(layer_list: LayerList, call: Call) -> str:
-    return layer_list.add(
-        "dense", call, weights=layer_list.tensors(call, weight="weight", bias="bias")
-    )
+    if call["input"] in layer_list.channels_last:
+        return linear_of_last(layer_list, call, call.module.weight, call.module.bias)
+    weights = layer_list.tensors(call, weight="weight", bias="bias")
+    return layer_list.add("dense", call, weights=weights)
 
 
 def linear_function(layer_list: LayerList, call: Call) -> str:
     """Add a dense layer for F.linear, whose weights are tensors of the module."""
+    if call["input"] in layer_list.channels_last:
+        return linear_of_last(layer_list, call, call["weight"], call["bias"])
     weights = layer_list.constants(call, weight="weight", bias="bias")
     return layer_list.add("dense", call, weights=weights)
 

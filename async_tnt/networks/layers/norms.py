@@ -1,0 +1,113 @@
+"""Normalization by the numbers' own mean and variance: over channels, or over groups of them.
+
+    y = (x - m) / sqrt(v + epsilon) * weight + bias,   v = mean((x - m)^2)
+
+A layer norm takes m and v over the channels of each place, so a change stays where it is. A group
+norm takes them over a group of channels at all places, so one change makes all numbers new.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from async_tnt.kernels.network.functions import FUNCTIONS
+from async_tnt.kernels.network.program import FUNCTION, MIX, PRODUCT, SUM, TOTAL
+from async_tnt.networks.layers.layer import NOT_NEGATIVE, POSITIVE, Layer, Shape
+from async_tnt.networks.layers.operation import Operation, expect_map, expect_weights
+from async_tnt.networks.layers.steps import Map, StepList
+
+ROLES = {"weight": False, "bias": False}
+"""The weights of both norms, which may be missing."""
+
+
+def _layer_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    for role, shape in weights.items():
+        expect_weights(role, shape, inputs[0][:1])
+    return inputs[0]
+
+
+def _layer_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    (source,) = inputs
+    channels = source.channels
+    mean_weights = np.full((1, channels, 1, 1), 1 / channels)
+    one = Map(1, source.rows, source.columns)
+    negative_mean = step_list.add(MIX, [source], one, -mean_weights, [0.0])
+    centred = _of_two(step_list, TOTAL, source, negative_mean)
+    squares = _of_two(step_list, PRODUCT, centred, centred)
+    variance = step_list.add(MIX, [squares], one.like(), mean_weights, [layer["epsilon"]])
+    return _scaled(step_list, layer, centred, variance)
+
+
+def _group_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    expect_map(inputs[0])
+    channels = inputs[0][0]
+    if channels % layer["groups"]:
+        raise ValueError(f"its {layer['groups']} groups must divide its {channels} channels")
+    return _layer_norm_shape(layer, inputs, weights)
+
+
+def _group_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    (source,) = inputs
+    negative_mean = _mean_of_groups(step_list, layer, source, -1.0, 0.0)
+    centred = _of_two(step_list, TOTAL, source, negative_mean)
+    squares = _of_two(step_list, PRODUCT, centred, centred)
+    variance = _mean_of_groups(step_list, layer, squares, 1.0, layer["epsilon"])
+    return _scaled(step_list, layer, centred, variance)
+
+
+def _mean_of_groups(
+    step_list: StepList, layer: Layer, source: Map, factor: float, bias: float
+) -> Map:
+    """Add the mean of each group, times a factor, plus a bias: one number for each channel."""
+    channels = source.channels
+    n_places = source.rows * source.columns
+    means = step_list.sum_of_places(source, factor / n_places, np.zeros(channels))
+    n_in_group = channels // layer["groups"]
+    weights = np.full((channels, n_in_group, 1, 1), 1 / n_in_group)
+    biases = np.full(channels, bias)
+    return step_list.add(MIX, [means], Map(channels, 1, 1), weights, biases, groups=layer["groups"])
+
+
+def _scaled(step_list: StepList, layer: Layer, centred: Map, variance: Map) -> Map:
+    """Add the product with 1 / sqrt(variance), then the weight and bias of each channel."""
+    channels = centred.channels
+    root = step_list.add(
+        FUNCTION,
+        [variance],
+        variance.like(),
+        [],
+        np.zeros(variance.channels),
+        function=list(FUNCTIONS).index("inverse_sqrt"),
+    )
+    normal = _of_two(step_list, PRODUCT, centred, root)
+    weight = step_list.tensor_or(layer, "weight", 1.0, channels)
+    bias = step_list.tensor_or(layer, "bias", 0.0, channels)
+    return step_list.add(SUM, [normal], normal.like(), weight[np.newaxis], bias)
+
+
+def _of_two(step_list: StepList, kind: int, first: Map, second: Map) -> Map:
+    zeros = np.zeros(first.channels)
+    return step_list.add(kind, [first, second], first.like(), [], zeros)
+
+
+NORMS = (
+    Operation(
+        name="layer_norm",
+        description="The channels at each place, less their mean, by their standard deviation.",
+        parameters={"epsilon": NOT_NEGATIVE},
+        roles=ROLES,
+        shape=_layer_norm_shape,
+        steps=_layer_norm_steps,
+    ),
+    Operation(
+        name="group_norm",
+        description=(
+            "The channels of each of `groups` groups at all places, less their mean, by their "
+            "standard deviation."
+        ),
+        parameters={"groups": POSITIVE, "epsilon": NOT_NEGATIVE},
+        roles=ROLES,
+        shape=_group_norm_shape,
+        steps=_group_norm_steps,
+    ),
+)
