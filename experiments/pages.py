@@ -16,11 +16,20 @@ from async_tnt.base.files import write_text
 from experiments.records.files import problems
 from experiments.records.run import ROOT
 from experiments.scripts.options import exit_with, plain_parser
-from experiments.tables import accuracy, datasets, decisions, differences, sections, thesis
+from experiments.tables import (
+    accuracy,
+    datasets,
+    decisions,
+    differences,
+    published,
+    sections,
+    thesis,
+)
 
 SHORT = (
     accuracy.accuracy,
     accuracy.published_weights,
+    published.zoo_in_short,
     datasets.cars_in_short,
     decisions.speed,
     thesis.unseen_motion,

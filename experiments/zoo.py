@@ -21,8 +21,7 @@ import importlib.util
 import io
 import time
 import warnings
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -47,6 +46,7 @@ from experiments.scripts.options import (
 )
 from experiments.speed.timing import interleave, machine
 from experiments.speed.work import work_of
+from experiments.tables.published import counts, zoo_accepted
 
 LONGEST = 300
 """Most characters of a reason."""
@@ -243,38 +243,8 @@ def main(argv: list[str] | None = None) -> int:
         for way in ("torch", "onnx"):
             if numbers[way]:
                 print(f"{name}, from {way}: {numbers[way]}")
-    print(*table(report), sep="\n")
+    print(zoo_accepted(report), counts(report), sep="\n\n")
     return 0
-
-
-def table(report: Mapping[str, Any]) -> list[str]:
-    """The accepted networks as lines of Markdown, and a last line that counts."""
-    lines = [
-        "| network | bits that differ | deviation from torch | an event reaches | us an event | "
-        "times ONNX Runtime's pass |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, numbers in report.items():
-        if numbers["torch"]:
-            continue
-        speed = numbers.get("speed")
-        cells = [name, str(numbers["wrong_bits"]), f"{numbers['deviation']:.1g}"]
-        if speed:
-            cells += [f"{speed['share']:.1%}", f"{speed['event_us']:,.0f}", f"{speed['ratio']:.2g}"]
-        else:
-            cells += ["-", "-", "-"]
-        lines.append(f"| {' | '.join(cells)} |")
-    accepted = Counter(
-        way for numbers in report.values() for way in ("torch", "onnx") if not numbers[way]
-    )
-    both = sum(not numbers["torch"] and not numbers["onnx"] for numbers in report.values())
-    wrong = sum(numbers.get("wrong_bits", 0) > 0 for numbers in report.values())
-    lines += [
-        "",
-        f"{len(report)} networks: {accepted['torch']} accepted from torch, {accepted['onnx']} from "
-        f"ONNX, {both} from both; {wrong} with bits that differ from a whole pass.",
-    ]
-    return lines
 
 
 def _tried_networks(wanted: list[Entry], args: argparse.Namespace) -> dict[str, Any]:

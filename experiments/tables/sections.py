@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from experiments.tables import accuracy, datasets, decisions, differences, streams, thesis
+from experiments.tables import (
+    accuracy,
+    datasets,
+    decisions,
+    differences,
+    published,
+    streams,
+    thesis,
+)
 from experiments.tables.texts import (
     CARS,
     DECISIONS,
@@ -32,6 +40,7 @@ from experiments.tables.texts import (
     UDP,
     VOLUMES,
     WITHOUT_OPTIONS,
+    ZOO,
 )
 from experiments.thesis.rows import THESIS_SET
 
@@ -104,6 +113,16 @@ SECTIONS = (
                 "ratio to the incremental one"
             ),
             decisions.incremental_work: "Multiplications, memory, and a decision after every event",
+        },
+    ),
+    Section(
+        title="Published networks",
+        text=ZOO,
+        command="experiments.zoo --json experiments/results/zoo.json",
+        tables={
+            published.zoo_counts: "In numbers",
+            published.zoo_accepted: "Accepted from torch",
+            published.zoo_refused: "Refused, and why",
         },
     ),
     Section(
