@@ -249,7 +249,7 @@ class _Builder:
             lambda: lambda m, x: x * torch.sigmoid(x.mean((2, 3), keepdim=True)),
             lambda: lambda m, x: F.interpolate(x.mean((2, 3), keepdim=True), size=x.shape[2:]),
             lambda: lambda m, x: x[:, ::2].contiguous(),
-            lambda: lambda m, x: x[:, -1:, 1:].clone(),
+            lambda: lambda m, x: x[:, -1:, : x.shape[2] // 2 + 1].clone(),
             lambda: lambda m, x: _shuffled(torch.cat([x, x], 1)),
             lambda: lambda m, x: torch.cat(torch.cat([x, x], 1).chunk(2, 1)[::-1], 1),
             lambda: lambda m, x: x - x[:, :1],

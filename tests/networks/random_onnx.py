@@ -217,7 +217,8 @@ class _Builder:
         n = self.shape[0]
         choice = self.pick("gather", "split", "shuffle")
         if choice == "gather":
-            indices = self.rng.integers(-n, n, int(self.rng.integers(1, 7)))
+            most = n + 1 if self.chance(0.1) else n
+            indices = self.rng.integers(-most, most, int(self.rng.integers(1, 7)))
             axis = 2 if self.chance(0.1) else 1
             self.node("Gather", self.constant(indices.astype(np.int64)), axis=axis)
         elif choice == "split":

@@ -176,6 +176,7 @@ def cut(onnx_layers: OnnxLayers, node: Node) -> None:
     taken = [range(side) for side in shape]
     for axis, first, end, every in zip(axes, starts, ends, steps, strict=True):
         expect_form(every >= 1, f"a Slice by steps of {every}")
+        expect_form(-len(shape) <= axis < len(shape), f"a Slice of axis {axis}")
         taken[axis] = range(shape[axis])[slice(first, end, every)]
     expect_form(all(len(one) > 0 for one in taken), "a Slice that takes nothing")
     _take(onnx_layers, node, taken)
@@ -231,6 +232,8 @@ def gather(onnx_layers: OnnxLayers, node: Node) -> None:
     indices = onnx_layers.constant(node, 1)
     expect_form(indices is not None and indices.ndim == 1, "a Gather of other than a list")
     assert indices is not None
+    in_range = bool(((indices >= -shape[1]) & (indices < shape[1])).all())
+    expect_form(in_range, f"a Gather of channels that {shape[1]} channels do not have")
     channels = [range(shape[1])[index] for index in indices.tolist()]
     onnx_layers.add(node, "pick", node.inputs[:1], channels=channels)
 
