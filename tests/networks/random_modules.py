@@ -254,7 +254,11 @@ class _Builder:
             lambda: lambda m, x: torch.cat(torch.cat([x, x], 1).chunk(2, 1)[::-1], 1),
             lambda: lambda m, x: x - x[:, :1],
             lambda: (
-                lambda m, x: F.layer_norm(x.permute(0, 2, 3, 1), x.shape[1:2]).permute(0, 3, 1, 2)
+                lambda m, x: (
+                    F.layer_norm(x.permute(0, 2, 3, 1), x.shape[1:2])
+                    .permute(0, 3, 1, 2)
+                    .contiguous()
+                )
             ),
             lambda: self.part(nn.GroupNorm(self.pick(1, shape[0]), shape[0])),
             lambda: lambda m, x: torch.erf(x),
