@@ -83,7 +83,8 @@ def tried(entry: Entry) -> dict[str, Any]:
         path = Path(folder) / "network.onnx"
         models: list[Model] = []
         numbers["torch"] = _reason(lambda: models.append(Model.from_torch(module, config)))
-        numbers["onnx"] = _reason(lambda: _from_onnx(module, entry.shape, config, path))
+        reason = _reason(lambda: _from_onnx(module, entry.shape, config, path))
+        numbers["onnx"] = reason.replace(str(path), path.name)
         if models:
             numbers |= _exactness(models[0], module)
             if importlib.util.find_spec("onnxruntime") is not None and path.exists():
