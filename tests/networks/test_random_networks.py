@@ -133,14 +133,15 @@ def test_a_module_that_is_accepted_is_right():
 def small_difference(model: Model) -> float:
     """A difference that counts for nothing: numbers of a size of 1 may cancel each other.
 
-    A norm divides what is left by as little as the root of its epsilon.
+    Each norm divides what is left by as little as the root of its epsilon. That numbers are right
+    where two norms follow each other, others of the networks show.
     """
     epsilons = [
         layer["epsilon"]
         for layer in model.network["classifier"]
         if layer["op"] in ("layer_norm", "group_norm")
     ]
-    return 1e-7 / min([1.0, *np.sqrt(epsilons)])
+    return min(1e-3, 1e-7 / float(np.prod(np.sqrt(epsilons))))
 
 
 def check_raw_outputs(module: torch.nn.Module, volumes: list[np.ndarray], seed: int) -> None:
