@@ -39,7 +39,7 @@ class Output:
 
     arrays: tuple[np.ndarray, ...]
     """The outputs in order, float32, each (C, H, W) or (N,): read-only views, which the next call
-    of the Processor changes. Copy them to keep them."""
+    of the Processor, or another use of its network, changes. Copy them to keep them."""
     names: tuple[str, ...]
     """Their names."""
     changed: tuple[Box, ...]

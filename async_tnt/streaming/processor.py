@@ -52,6 +52,17 @@ from async_tnt.volume.single_event import SingleEventReader
 from async_tnt.volume.volume import TNTVolume
 
 
+def _check_same_outputs(saved: Any, network: Any) -> None:
+    """Refuse a network whose outputs are not those of a saved stream."""
+    saved_outputs = saved.outputs if isinstance(saved, WindowOutputs) else None
+    outputs = None
+    if isinstance(network, CompiledNetwork):
+        outputs = dict(zip(network.names, network.output_shapes, strict=True))
+    if saved_outputs != outputs:
+        rule = f"must be of a stream with the raw outputs {short(outputs)}"
+        raise ParameterValueError("state", rule, short(saved_outputs))
+
+
 def _recovering(method: Method) -> Method:
     """Decorate a method so that an exception in it leaves the Processor's state consistent."""
 
@@ -683,6 +694,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         if processor.config != config:
             rule = f"must be of the configuration {config}"
             raise ParameterValueError("state", rule, f"one of {processor.config}")
+        _check_same_outputs(processor._classifier, networks.classifier)
         classes = networks.classes
         if classes is not None and processor.classes != tuple(classes):
             raise ValueError(

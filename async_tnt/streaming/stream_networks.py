@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from async_tnt.base.checks import ParameterTypeError
+from async_tnt.base.checks import ParameterTypeError, ParameterValueError
+from async_tnt.base.messages import short
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.networks.models.compiled_network import CompiledNetwork, compiled_network_of
@@ -55,6 +56,9 @@ def networks_of(
     network: Classifier | CompiledNetwork | None = classifier
     if network is None:
         network = compiled_network_of(model)
+    elif isinstance(network, CompiledNetwork) and not model.outputs:
+        rule = "must return logits: the model has classes, and a CompiledNetwork raw outputs"
+        raise ParameterTypeError("classifier", rule)
     elif model.outputs and not isinstance(network, CompiledNetwork):
         rule = "must be a CompiledNetwork, because the model has raw outputs"
         raise ParameterTypeError("classifier", rule, type(network).__name__)
@@ -62,4 +66,7 @@ def networks_of(
         regressor = CompiledRegressor(model)
     if classes is None:
         classes = model.classes
+    if classes and model.outputs:
+        rule = "are for a network of logits; the model has raw outputs"
+        raise ParameterValueError("classes", rule, short(classes))
     return StreamNetworks(model.config, network, regressor, classes)

@@ -25,6 +25,7 @@ class WindowOutputs:
     ----------
     classifier : the network, which stands where other streams have a classifier.
     classes : an empty tuple.
+    outputs : name of an output -> its shape.
     decides_in_stretches : False, because only one answer's arrays are kept.
     answers_are_views : True.
     """
@@ -49,6 +50,7 @@ class WindowOutputs:
             rule = f"must take volumes of shape {self._config.shape}"
             raise ParameterValueError("classifier", rule, f"one for {network.shape}")
         self.classifier = network
+        self.outputs = dict(zip(network.names, network.output_shapes, strict=True))
 
     def check_confidence(self, confidence: float | None) -> None:
         """Refuse a level of confidence."""

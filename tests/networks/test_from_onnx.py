@@ -191,6 +191,28 @@ REFUSED = [  # nodes, constants, message, opset
         "(Log): a logarithm of other than x + 1 has no compiled form",
         13,
     ),
+    (
+        [node("Add", "many row", "y"), node("Add", "x y", "z")],
+        {"many": np.zeros((4000, 1), np.int64), "row": np.zeros(4000, np.int64)},
+        "(Add): a Add of large constants has no compiled form",
+        13,
+    ),
+    (
+        [node("Gather", "row many", "y"), node("Add", "x y", "z")],
+        {"row": np.zeros((2, 4000), np.float32), "many": np.zeros(4000, np.int64)},
+        "(Gather): a Gather of large constants has no compiled form",
+        13,
+    ),
+    (
+        [
+            node("Transpose", "x", "t", perm=[0, 2, 3, 1]),
+            node("Shape", "t", "s"),
+            node("Reshape", "x s"),
+        ],
+        {},
+        "(Reshape): a reshape to [1, 6, 5, 2], not (n, -1), one",
+        13,
+    ),
     ([node("Flatten")], {}, "the network must be of opset 7 or later, got [6]", 6),
 ]
 

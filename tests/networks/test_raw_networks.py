@@ -13,6 +13,7 @@ from torch import nn
 
 from async_tnt import CompiledNetwork, Model, TNTConfig, load_model
 from async_tnt.networks import to_onnx
+from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.torch.from_torch import layers_from_torch
 
 
@@ -198,3 +199,142 @@ def test_damaged_outputs_in_a_file_are_told(changes, tmp_path):
     path.write_bytes(tensor_bytes(model.weights, metadata))
     with pytest.raises(ValueError, match=r"m\.safetensors holds a damaged model: [^\n]*$"):
         load_model(path)
+
+
+def alias_then_in_place(change):
+    """A module that changes a volume in place under a second name."""
+
+    class Aliased(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.first = nn.Conv2d(2, 4, 3, padding=1)
+
+        def forward(self, x):
+            a = self.first(x)
+            b = a
+            b = change(b)
+            return a + b.relu()
+
+    torch.manual_seed(0)
+    return Aliased().eval()
+
+
+def add_to(b):
+    b += 1
+    return b
+
+
+def subtract_from(b):
+    b -= 1
+    return b
+
+
+def multiply(b):
+    b *= 2
+    return b
+
+
+def divide(b):
+    b /= 2
+    return b
+
+
+@pytest.mark.parametrize("change", [add_to, subtract_from, multiply, divide])
+def test_a_change_in_place_holds_for_every_name_of_a_tensor(change):
+    module = alias_then_in_place(change)
+    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
+    with torch.no_grad():
+        expected = module(torch.tensor(volume)[None])[0].numpy()
+    try:
+        model = Model.from_torch(module, SMALL)
+    except NotImplementedError as error:
+        assert "in place" in str(error)
+        return
+    (found,) = CompiledNetwork(model)(volume)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def beside_large(n_small, factor):
+    """A network with large numbers beside small ones, which are `factor` times as large as told."""
+
+    def network(volume):
+        small = np.full((n_small, 3, 3), 1e-3)
+        return [np.concatenate([np.full((2, 3, 3), 1e3), factor * small]), factor * small]
+
+    return network
+
+
+def test_a_small_channel_beside_a_large_one_is_compared_by_itself():
+    compare(beside_large(1, 1.0), beside_large(1, 1 + 1e-5), SMALL.shape, is_raw=True)
+    with pytest.raises(ValueError, match="its layers compute other numbers"):
+        compare(beside_large(1, 1.0), beside_large(1, 1.1), SMALL.shape, is_raw=True)
+
+
+def test_raw_outputs_must_have_the_shape_of_their_layers():
+    def turned(volume):
+        return [array.transpose(1, 2, 0) for array in beside_large(1, 1.0)(volume)]
+
+    with pytest.raises(ValueError, match=r"numbers of shape \(3, 3, 3\)|its layers \("):
+        compare(turned, beside_large(2, 1.0), SMALL.shape, is_raw=True)
+
+
+def test_two_outputs_of_one_name_are_refused():
+    module = Net(lambda a, b, c: {"flow.0": a, "flow": [b]})
+    with pytest.raises(NotImplementedError, match=r"two outputs of one name, 'flow\.0',"):
+        Model.from_torch(module, SMALL)
+
+
+def test_a_name_that_cannot_be_printed_is_refused():
+    with pytest.raises(ValueError, match="`outputs` must have names that can be printed"):
+        Model.from_torch(Net(lambda a, b, c: {"a\nb": a}), SMALL)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda a, b, c: a.chunk(0, 1)[0],
+        lambda a, b, c: a.split(0, 1)[0],
+        lambda a, b, c: a.view(0, -1),
+        lambda a, b, c: a[:, :, :: a.dim() - 4],
+        lambda a, b, c: a.permute(0, 1, 2, 9),
+        lambda a, b, c: a.mean((2, 7)),
+        lambda a, b, c: torch.cat([a, "b"], 1),
+    ],
+)
+def test_arguments_that_torch_refuses_are_refused_in_one_line(answer):
+    with pytest.raises(NotImplementedError) as raised:
+        Model.from_torch(Net(answer), SMALL)
+    assert "\n" not in str(raised.value)
+    assert str(raised.value).endswith("yields the volumes for a network of any kind")
+
+
+def test_a_group_norm_of_numbers_far_from_zero_is_as_exact_as_torchs():
+    torch.manual_seed(0)
+
+    class Far(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.norm = nn.GroupNorm(1, 2)
+
+        def forward(self, x):
+            return self.norm(x + 1000)
+
+    module = Far().eval()
+    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
+    with torch.no_grad():
+        torchs = module(torch.tensor(volume)[None])[0].numpy()
+        expected = module.double()(torch.tensor(volume, dtype=torch.float64)[None])[0].numpy()
+    (found,) = CompiledNetwork(Model.from_torch(module.float(), SMALL))(volume)
+    own_error = np.abs(torchs - expected).max()
+    assert np.abs(found - expected).max() <= max(4 * own_error, 2e-4)
+
+
+def test_the_weights_of_a_norm_grow_with_its_channels():
+    """They hold a mean for each group, not a row of weights for each channel."""
+
+    def n_weights(channels):
+        config = SMALL.replace(bins=channels)
+        layers = nn.Sequential(nn.GroupNorm(1, channels), nn.Conv2d(channels, 1, 1))
+        return CompiledNetwork(Model.from_torch(layers.eval(), config)).network.weights.size
+
+    assert n_weights(800) < 2.1 * n_weights(400)

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -204,6 +205,15 @@ def test_a_saved_state_continues():
     assert [*map(key, again.push(EVENTS[50:80]))] == [*map(key, processor.push(EVENTS[50:80]))]
 
 
+def test_a_saved_state_continues_only_with_a_network_of_its_outputs():
+    state = Processor(MODEL).save_state()
+    decisions = Processor(random_model(CONFIG)).save_state()
+    renamed = replace(MODEL, outputs={"other": MODEL.outputs["flow"]})
+    for saved, model in ((state, random_model(CONFIG)), (decisions, MODEL), (state, renamed)):
+        with pytest.raises(ValueError, match="`state` must be of a stream with the raw outputs"):
+            Processor.from_state(saved, model)
+
+
 def test_fire_and_reset():
     processor = Processor(MODEL)
     empty = processor.fire()
@@ -235,6 +245,10 @@ def test_what_needs_classes_is_refused_in_one_line():
         Processor(MODEL, classifier=len)
     with pytest.raises(TypeError, match="must return logits; a CompiledNetwork has raw outputs"):
         Processor(random_model(CONFIG)).classifier = CompiledNetwork(MODEL)
+    with pytest.raises(TypeError, match="must return logits: the model has classes, and a Compi"):
+        Processor(random_model(CONFIG), classifier=CompiledNetwork(MODEL))
+    with pytest.raises(ValueError, match="`classes` are for a network of logits; the model has"):
+        Processor(MODEL, classes=["a", "b"])
     with pytest.raises(ValueError, match=r"must have classes; CompiledNetwork\(model\) is for"):
         CompiledClassifier(MODEL)
     with pytest.raises(ValueError, match=r"must have raw outputs; CompiledClassifier\(model\) is"):

@@ -12,7 +12,16 @@ from async_tnt.base.messages import one_line
 from async_tnt.base.progress import progress
 
 TOLERANCE = 1e-4
-"""The largest difference that is accepted, as a share of a volume's largest number."""
+"""The largest difference in float32 that is accepted, as a share of a volume's largest number."""
+
+EXACT_TOLERANCE = 1e-5
+"""The largest difference in float64: weights are kept in float32, also those that were computed."""
+
+LEAST_LOGIT = 0.01
+"""The smallest size of logits that makes a difference."""
+
+SMALLEST = 1e-9
+"""A share of an output's largest number that counts for nothing, as numbers may cancel."""
 
 ROUNDINGS = 4
 """How many times the error of rounding two programs may differ."""
@@ -24,7 +33,7 @@ FIRST = (0, 1, 2)
 """The volumes that are compared in any case: any numbers, sparse counts, and an object's events."""
 
 Function = Callable[[np.ndarray], Sequence[np.ndarray]]
-"""Volume (C, H, W) -> the numbers of each output."""
+"""Volume (C, H, W) -> the numbers of each output, without the axis of the batch."""
 
 
 def expect_form(condition: bool, what: str) -> None:
@@ -33,12 +42,22 @@ def expect_form(condition: bool, what: str) -> None:
         raise NotImplementedError(f"{what} has no compiled form")
 
 
+def without_batch(numbers: np.ndarray, n_batch: int = 1) -> np.ndarray:
+    """The numbers of one volume, if the first axis is that of a batch of equal volumes."""
+    if numbers.shape[:1] != (n_batch,):
+        return numbers
+    first: np.ndarray = numbers[0]
+    return first
+
+
 def compare(
     original: Function,
     layers: Function,
     shape: tuple[int, ...],
     tolerance: float = TOLERANCE,
     exact: Function | None = None,
+    *,
+    is_raw: bool = False,
 ) -> None:
     """Compare a network with the layers that were read from it, on `volumes_to_compare`.
 
@@ -48,12 +67,14 @@ def compare(
     ----------
     shape : shape of a volume, (C, H, W).
     tolerance : how much numbers may differ, as a share of the largest number of the same output for
-        the same volume. A volume's largest number counts as at least 0.01, and as at least 1 % of
-        the largest number for any volume, because smaller logits make no difference to a softmax.
-
+        the same volume. A volume's largest number counts as at least 1 % of the largest number for
+        any volume. Without `is_raw` it counts as at least `LEAST_LOGIT`, because smaller logits
+        make no difference to a softmax.
     exact : the same layers as `layers`, in float64. If it is given, numbers may also differ by
         `ROUNDINGS` times the error that `layers` make by rounding, because such a network makes
         much of small differences.
+    is_raw : whether the outputs are no logits. Then they must have the layers' shapes, and each
+        channel of a map is compared by itself.
 
     Raises
     ------
@@ -68,14 +89,14 @@ def compare(
             is_long = time.monotonic() - started_s > LONG_S
             if place not in FIRST and is_long:
                 continue
-            numbers_of_volumes.append(_numbers_of_both(original, layers, volume, exact))
+            numbers_of_volumes.append(_numbers_of_both(original, layers, volume, exact, is_raw))
             bar.update()
     for numbers_of_output in zip(*numbers_of_volumes, strict=True):
-        _compare_output(numbers_of_output, tolerance)
+        _compare_output(numbers_of_output, tolerance, 0.0 if is_raw else LEAST_LOGIT)
 
 
 class _Numbers(NamedTuple):
-    """What is compared of one output, for one volume."""
+    """What is compared of one output, for one volume: (channels, numbers of a channel) each."""
 
     expected: np.ndarray
     """The numbers of the network."""
@@ -85,22 +106,37 @@ class _Numbers(NamedTuple):
     """The largest error of the layers by rounding, as far as it is known."""
 
 
-def _compare_output(numbers: Sequence[_Numbers], tolerance: float) -> None:
+def _compare_output(numbers: Sequence[_Numbers], tolerance: float, least: float) -> None:
     """Compare the numbers of one output for all volumes, see `compare`."""
-    largest = [_largest_finite(one.expected) for one in numbers]
-    for (expected, computed, rounding), own_largest in zip(numbers, largest, strict=True):
-        bound = tolerance * max(own_largest, max(largest) / 100, 0.01)
-        bound = max(bound, ROUNDINGS * rounding)
-        if not np.allclose(computed, expected, rtol=0.0, atol=bound, equal_nan=True):
-            difference = np.abs(computed - expected).max()
+    of_channels = np.array([_largest_of_channels(one.expected) for one in numbers])
+    of_all = float(of_channels.max(initial=0.0))
+    for (expected, computed, rounding), largest in zip(numbers, of_channels, strict=True):
+        counted = np.maximum(largest, of_channels.max(0) / 100)
+        bounds = np.maximum(tolerance * np.maximum(counted, least), SMALLEST * of_all)
+        bounds = np.maximum(bounds, ROUNDINGS * rounding)[:, np.newaxis]
+        differences = np.abs(computed - expected)
+        are_same = (computed == expected) | (np.isnan(computed) & np.isnan(expected))
+        if not ((differences <= bounds) | are_same).all():
+            largest_difference = np.fmax.reduce(differences, axis=None)
             raise ValueError(
-                f"its layers compute other numbers (by {difference:.2g}, where the largest is "
-                f"{own_largest:.2g})"
+                f"its layers compute other numbers (by {largest_difference:.2g}, where the "
+                f"largest is {largest.max():.2g})"
             )
 
 
+def _largest_of_channels(numbers: np.ndarray) -> np.ndarray:
+    """The largest absolute finite number of each row; 0 where no number is finite."""
+    sizes = np.where(np.isfinite(numbers), np.abs(numbers), 0.0)
+    largest: np.ndarray = sizes.max(axis=1, initial=0.0)
+    return largest
+
+
 def _numbers_of_both(
-    original: Function, layers: Function, volume: np.ndarray, exact: Function | None
+    original: Function,
+    layers: Function,
+    volume: np.ndarray,
+    exact: Function | None,
+    is_raw: bool,
 ) -> list[_Numbers]:
     """The numbers of each output for one volume."""
     try:
@@ -113,10 +149,13 @@ def _numbers_of_both(
     exact_numbers = computed if exact is None else exact(volume)
     found = []
     for numbers, own, without_rounding in zip(expected, computed, exact_numbers, strict=True):
-        if numbers.size != own.size:
-            raise ValueError(f"it gives numbers of shape {numbers.shape}, its layers {own.size}")
+        is_other = numbers.shape != own.shape if is_raw else numbers.size != own.size
+        if is_other:
+            raise ValueError(f"it gives numbers of shape {numbers.shape}, its layers {own.shape}")
         rounding = _largest_finite(own.reshape(-1) - without_rounding.reshape(-1))
-        found.append(_Numbers(numbers.reshape(-1), own.reshape(-1), rounding))
+        # the channels of a raw map are compared one by one, as a large one would hide others
+        n_rows = len(own) if is_raw and own.ndim == 3 else 1
+        found.append(_Numbers(numbers.reshape(n_rows, -1), own.reshape(n_rows, -1), rounding))
     return found
 
 

@@ -61,6 +61,9 @@ SIDES = _whole_numbers(2, 1)
 PADDING = _whole_numbers(4, 0)
 """Four paddings, [top, left, bottom, right]."""
 
+BLOCK = Check("a whole number from 1 to 64", lambda value: _is_whole(value, 1) and value <= 64)
+"""The side of a block for each place of which steps of their own are made."""
+
 POSITIVE = Check("a positive whole number", lambda value: _is_whole(value, 1))
 
 LIMIT = Check("a number, or null", lambda value: value is None or _is_number(value))

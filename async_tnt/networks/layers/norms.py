@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.kernels.network.functions import FUNCTIONS
-from async_tnt.kernels.network.program import FUNCTION, MIX, PRODUCT, SUM, TOTAL
+from async_tnt.kernels.network.program import FUNCTION, MIX, PICK, PRODUCT, SUM, TOTAL
 from async_tnt.networks.layers.layer import NOT_NEGATIVE, POSITIVE, Layer, Shape
 from async_tnt.networks.layers.operation import Operation, expect_map, expect_weights
 from async_tnt.networks.layers.steps import Map, StepList
@@ -50,6 +50,9 @@ def _group_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> M
     (source,) = inputs
     negative_mean = _mean_of_groups(step_list, layer, source, -1.0, 0.0)
     centred = _of_two(step_list, TOTAL, source, negative_mean)
+    # the mean of many large numbers is rounded: what is left of it is small, and known better
+    rest = _mean_of_groups(step_list, layer, centred, -1.0, 0.0)
+    centred = _of_two(step_list, TOTAL, centred, rest)
     squares = _of_two(step_list, PRODUCT, centred, centred)
     variance = _mean_of_groups(step_list, layer, squares, 1.0, layer["epsilon"])
     return _scaled(step_list, layer, centred, variance)
@@ -60,12 +63,16 @@ def _mean_of_groups(
 ) -> Map:
     """Add the mean of each group, times a factor, plus a bias: one number for each channel."""
     channels = source.channels
+    groups = layer["groups"]
     n_places = source.rows * source.columns
     means = step_list.sum_of_places(source, factor / n_places, np.zeros(channels))
-    n_in_group = channels // layer["groups"]
-    weights = np.full((channels, n_in_group, 1, 1), 1 / n_in_group)
-    biases = np.full(channels, bias)
-    return step_list.add(MIX, [means], Map(channels, 1, 1), weights, biases, groups=layer["groups"])
+    n_in_group = channels // groups
+    weights = np.full((groups, n_in_group, 1, 1), 1 / n_in_group)
+    biases = np.full(groups, bias)
+    of_groups = step_list.add(MIX, [means], Map(groups, 1, 1), weights, biases, groups=groups)
+    picked = np.repeat(np.arange(groups), n_in_group).tolist()
+    zeros = np.zeros(channels)
+    return step_list.add(PICK, [of_groups], Map(channels, 1, 1), [], zeros, picked=picked)
 
 
 def _scaled(step_list: StepList, layer: Layer, centred: Map, variance: Map) -> Map:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.kernels.network.program import PICK, SUM
-from async_tnt.networks.layers.layer import POSITIVE, SIDES, Layer, Shape
+from async_tnt.networks.layers.layer import BLOCK, SIDES, Layer, Shape
 from async_tnt.networks.layers.operation import Operation, expect_map
 from async_tnt.networks.layers.places import spread_axis
 from async_tnt.networks.layers.steps import Map, StepList
@@ -99,7 +99,7 @@ UPSAMPLING = (
             "Bilinear upsampling to block x block places for each place, where the corners of "
             "input and output lie on each other."
         ),
-        parameters={"block": POSITIVE},
+        parameters={"block": BLOCK},
         shape=_corners_shape,
         steps=_corners_steps,
         places=spread_axis,

@@ -184,7 +184,8 @@ class Model:
                 outputs=outputs,
             )
             for name, part in parts.items():
-                check_torch_layers(part, networks[name], config.shape)
+                is_raw = name == CLASSIFIER and classes is None
+                check_torch_layers(part, networks[name], config.shape, is_raw=is_raw)
         except NotImplementedError as error:
             way_out = WAY_OUT if classes is None else WAY_OUT_OF_LOGITS
             raise NotImplementedError(f"{error}{way_out}") from None
@@ -354,6 +355,8 @@ def _check_outputs(outputs: Any, classes: tuple[str, ...]) -> None:
         isinstance(name, str) and isinstance(layer, str) for name, layer in outputs.items()
     ):
         raise ParameterTypeError("outputs", "must map names to names of layers", short(outputs))
+    if not all(name and name.isprintable() for name in outputs):
+        raise ParameterValueError("outputs", "must have names that can be printed", short(outputs))
     if not classes and not outputs:
         raise ParameterValueError("classes", "must hold at least one name, or `outputs` be given")
     if classes and outputs:

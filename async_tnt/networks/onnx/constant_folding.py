@@ -40,8 +40,14 @@ FOLDED = {
 }
 """Operators that are computed if all of their inputs are constants."""
 
+BROADCASTING = {"Add", "Clip", "Div", "Max", "Min", "Mod", "Mul", "Sub"}
+"""Those of them whose output may have more numbers than each input."""
+
 MOST_NUMBERS = 1 << 12
-"""Most numbers of an input: these nodes compute sizes, and a hostile file may ask for more."""
+"""Most numbers of an input or output: these nodes compute sizes.
+
+Hostile files may ask for more.
+"""
 
 
 def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
@@ -54,7 +60,7 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
     NotImplementedError : the node cannot be computed.
     """
     if node.op == "Shape" and node.inputs[0] in onnx_layers.names:
-        shape = (1, *onnx_layers.shape(node.inputs[0]))
+        shape = _shape(onnx_layers, node.inputs[0])
         part = shape[node.get("start", 0) : node.get("end", len(shape))]
         onnx_layers.constants[node.outputs[0]] = np.array(part, np.int64)
         return True
@@ -66,6 +72,7 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
     if node.op == "ConstantOfShape":
         (sides,) = values.values()
         fits = math.prod(map(int, sides.reshape(-1))) <= MOST_NUMBERS
+    fits = fits and _output_size(node, list(values.values())) <= MOST_NUMBERS
     expect_form(fits, f"a {node.op} of large constants")
     try:
         outputs = _computed(node, values, onnx_layers.opset)
@@ -73,6 +80,27 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
         raise NotImplementedError(f"it cannot be computed: {error}") from None
     onnx_layers.constants.update(zip(node.outputs, outputs, strict=True))
     return True
+
+
+def _shape(onnx_layers: OnnxLayers, value: str) -> tuple[int, ...]:
+    """The shape of a value, with its batch of one."""
+    is_arranged = value in onnx_layers.grouped or value in onnx_layers.flat_groups
+    expect_form(not is_arranged, "the shape of channels in groups")
+    channels, *sides = onnx_layers.shape(value)
+    if value in onnx_layers.channels_last:
+        return (1, *sides, channels)
+    return (1, channels, *sides)
+
+
+def _output_size(node: Node, values: list[np.ndarray]) -> int:
+    """How many numbers a node's output has, if it may have more than its inputs."""
+    if node.op in BROADCASTING:
+        return math.prod(np.broadcast_shapes(*(value.shape for value in values)))
+    if node.op == "Gather":
+        data, indices = values
+        length = int(data.shape[node.get("axis", 0)])
+        return indices.size * (data.size // max(1, length))
+    return 0
 
 
 def _computed(node: Node, values: dict[str, np.ndarray], opset: int) -> list[np.ndarray]:

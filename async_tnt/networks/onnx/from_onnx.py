@@ -19,6 +19,7 @@ from async_tnt.networks.layers.conversion_check import (
     Function,
     compare,
     expect_form,
+    without_batch,
 )
 from async_tnt.networks.layers.graph import (
     CLASSIFIER,
@@ -175,7 +176,7 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     def original(volume: np.ndarray) -> list[np.ndarray]:
         batch = np.repeat(volume[None], n_batch, 0).astype(dtype)
         answers = opened.session.run(None, {network_input.name: batch})
-        return [answer.reshape(n_batch, -1)[0].astype(np.float64) for answer in answers]
+        return [without_batch(answer, n_batch).astype(np.float64) for answer in answers]
 
     compiled = compiled_network_of(model)
     if isinstance(compiled, CompiledNetwork):
@@ -187,16 +188,17 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
 
     if has_softmax:
         converted = _with_softmax(converted)
+    is_raw = bool(model.outputs)
     tolerance = max(TOLERANCE, 8 * float(np.finfo(dtype).eps))
     try:
-        compare(original, converted, model.config.shape, tolerance)
+        compare(original, converted, model.config.shape, tolerance, is_raw=is_raw)
     except ValueError:
         if importlib.util.find_spec("torch") is None:
             raise
         exact: Function = exact_outputs(model)
         if has_softmax:
             exact = _with_softmax(exact)
-        compare(original, converted, model.config.shape, tolerance, exact)
+        compare(original, converted, model.config.shape, tolerance, exact, is_raw=is_raw)
 
 
 def _with_softmax(logits_of: Function) -> Function:
@@ -288,6 +290,10 @@ def _read(onnx_layers: OnnxLayers, node: Node, is_ending_softmax: bool) -> None:
         raise
     except NotImplementedError as error:
         raise RefusedError(f"{node.op}: {error}", f"{node.where}: {error}") from None
+    except (ArithmeticError, LookupError, TypeError, RuntimeError) as error:
+        # inputs or attributes of values that onnxruntime may refuse, too
+        reason = f"its inputs have no compiled form ({one_line(error)})"
+        raise RefusedError(f"{node.op}: {reason}", f"{node.where}: {reason}") from None
 
 
 def _check_input_shape(value: onnx.ValueInfoProto, shape: tuple[int, int, int]) -> None:

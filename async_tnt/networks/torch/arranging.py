@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import fx
 
+from async_tnt.base.messages import short
 from async_tnt.networks.layers.conversion_check import expect_form
 from async_tnt.networks.layers.picking import picked, sum_weight
 from async_tnt.networks.torch.layers import Call, Grouped, LayerList, float_array
@@ -104,7 +105,8 @@ def sum_of_channels(layer_list: LayerList, call: Call) -> str:
     axes = call["dim"]
     parts = layer_list.parts.get(call["input"])
     if parts is not None and axes in (0, (0,), [0]) and not call["keepdim"]:
-        return parts[0] if len(parts) == 1 else layer_list.add("add", call, parts)
+        stacked = [part for part in parts if part is not None]
+        return stacked[0] if len(stacked) == 1 else layer_list.add("add", call, stacked)
     channels, *sides = layer_list.shape(call["input"])
     is_known = axes in (1, (1,), [1], -3) and call["keepdim"] and len(sides) == 2
     expect_form(is_known, f"a sum over {axes}, not of the channels of a map (1, keepdim),")
@@ -135,9 +137,11 @@ def index(layer_list: LayerList, call: Call) -> str:
     """Take a part of a tuple, or add the layers of x[:, a:b, c:d:m, e:f:n]."""
     parts = layer_list.parts.get(call["input"])
     if parts is not None:
-        expect_form(isinstance(call["index"], int), f"the index {call['index']}")
-        part: str = parts[call["index"]]
-        return part
+        place = call["index"]
+        is_there = isinstance(place, int) and -len(parts) <= place < len(parts)
+        part: str | None = parts[place] if is_there else None
+        expect_form(part is not None, f"the index {short(place)}")
+        return cast("str", part)
 
     channels, *sides = layer_list.shape(call["input"])
     given = call["index"] if isinstance(call["index"], tuple) else (call["index"],)
@@ -147,11 +151,11 @@ def index(layer_list: LayerList, call: Call) -> str:
         left_out = [slice(None)] * (n_axes - len(given) + 1)
         given = (*given[:place], *left_out, *given[place + 1 :])
     slices = [*given, *[slice(None)] * (n_axes - len(given))]
-    are_slices = len(slices) == n_axes and all(isinstance(part, slice) for part in slices)
-    expect_form(are_slices, f"the index {given}")
+    are_slices = all(isinstance(part, slice) and part.step != 0 for part in slices)
+    expect_form(are_slices and len(slices) == n_axes, f"the index {short(given)}")
     taken = [range(n)[part] for n, part in zip((1, channels, *sides), slices, strict=True)]
     are_there = all(len(one) > 0 and one.step > 0 for one in taken)
-    expect_form(are_there, f"the index {given}")
+    expect_form(are_there, f"the index {short(given)}")
     source = layer_list.source(call["input"])
     if len(taken[1]) < channels:
         source = layer_list.add("pick", call, [source], channels=list(taken[1]))
@@ -184,14 +188,18 @@ def _pick_places(
 def stack(layer_list: LayerList, call: Call) -> str:
     """Note the parts of torch.stack([...]), which `sum_of_channels` adds: no layer is added."""
     expect_form(call["dim"] == 0, f"a stack along axis {call['dim']}, not 0,")
-    layer_list.parts[call.node] = [layer_list.source(one) for one in call["tensors"]]
-    return layer_list.parts[call.node][0]
+    is_known = isinstance(call["tensors"], (tuple, list)) and call.written is None
+    expect_form(is_known, "this stack")
+    parts = [layer_list.source(one) for one in call["tensors"]]
+    layer_list.parts[call.node] = [*parts]
+    return parts[0]
 
 
 def chunk(layer_list: LayerList, call: Call) -> str:
     """Add a layer for each part of the channels; returns the first part."""
     channels = layer_list.shape(call["input"])[0]
-    expect_form(isinstance(call["chunks"], int), "a chunk of other than a number")
+    is_number = isinstance(call["chunks"], int) and call["chunks"] > 0
+    expect_form(is_number, f"a chunk into {short(call['chunks'])}")
     size = math.ceil(channels / call["chunks"])
     return _divide(layer_list, call, [size] * call["chunks"])
 
@@ -200,6 +208,7 @@ def split(layer_list: LayerList, call: Call) -> str:
     """Add a layer for each part of the channels; returns the first part."""
     channels = layer_list.shape(call["input"])[0]
     sizes = call["sizes"]
+    expect_form(sizes != 0 and sizes != [], "a split into nothing")
     if isinstance(sizes, int):
         sizes = [sizes] * math.ceil(channels / sizes)
     return _divide(layer_list, call, sizes)
@@ -213,15 +222,20 @@ def _divide(layer_list: LayerList, call: Call, sizes: Sequence[int]) -> str:
     axis = call["dim"]
     expect_form(axis in (1, -3), f"a division along axis {axis}, not of channels (1),")
     channels = layer_list.shape(call["input"])[0]
-    parts = []
+    are_sizes = all(isinstance(size, int) and size >= 0 for size in sizes)
+    expect_form(are_sizes and sum(sizes) >= channels, f"a division into {short(list(sizes))}")
+    parts: list[str | None] = []
     first = 0
     for size in sizes:
         taken = list(range(first, min(first + size, channels)))
-        if taken:
-            parts.append(layer_list.add("pick", call, [call["input"]], channels=taken))
+        # a part without channels has no layer
+        part = layer_list.add("pick", call, [call["input"]], channels=taken) if taken else None
+        parts.append(part)
         first += size
+    while parts[-1] is None:  # torch.chunk makes no empty parts at the end
+        parts.pop()
     layer_list.parts[call.node] = parts
-    return parts[0]
+    return next(part for part in parts if part is not None)
 
 
 def shuffle_channels(layer_list: LayerList, call: Call) -> str:
@@ -232,6 +246,8 @@ def shuffle_channels(layer_list: LayerList, call: Call) -> str:
 def _shuffled(layer_list: LayerList, call: Call, source: str, groups: int) -> str:
     """Add a layer that takes the first channel of each group, then the second of each, ..."""
     channels = layer_list.shape(source)[0]
+    is_divided = groups > 0 and channels % groups == 0
+    expect_form(is_divided, f"a shuffle of {channels} channels in {groups} groups")
     in_order = torch.arange(channels).reshape(groups, -1).T.reshape(-1)
     return layer_list.add("pick", call, [source], channels=in_order.tolist())
 

@@ -17,7 +17,13 @@ from torch.fx.node import map_arg
 
 from async_tnt.base.checks import ParameterTypeError
 from async_tnt.base.messages import one_line
-from async_tnt.networks.layers.conversion_check import Function, compare, expect_form
+from async_tnt.networks.layers.conversion_check import (
+    EXACT_TOLERANCE,
+    Function,
+    compare,
+    expect_form,
+    without_batch,
+)
 from async_tnt.networks.layers.graph import VOLUME, ReadNetwork, layer_shapes
 from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.torch.form import TorchForm
@@ -125,7 +131,9 @@ def _with_prefix(layer: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {**layer, "weights": weights}
 
 
-def check_torch_layers(module: nn.Module, read: ReadNetwork, shape: tuple[int, ...]) -> None:
+def check_torch_layers(
+    module: nn.Module, read: ReadNetwork, shape: tuple[int, ...], *, is_raw: bool = True
+) -> None:
     """Check that a module and its layers compute the same, both in float64.
 
     The layers come from a trace, which does not show everything that a module does.
@@ -134,6 +142,7 @@ def check_torch_layers(module: nn.Module, read: ReadNetwork, shape: tuple[int, .
     ----------
     read : what `layers_from_torch` made of the module.
     shape : shape of a volume, (C, H, W).
+    is_raw : see `compare`.
 
     Raises
     ------
@@ -143,7 +152,7 @@ def check_torch_layers(module: nn.Module, read: ReadNetwork, shape: tuple[int, .
     layers, weights, outputs = read
     converted = _function_of(LayerNetwork(layers, weights, list(outputs.values())).eval())
     try:
-        compare(original, converted, shape)
+        compare(original, converted, shape, EXACT_TOLERANCE, is_raw=is_raw)
     except ValueError as error:
         raise _cannot_be_read(error) from None
 
@@ -155,7 +164,7 @@ def _function_of(network: nn.Module) -> Function:
     def outputs(volume: np.ndarray) -> list[np.ndarray]:
         with torch.no_grad():
             value = network(torch.tensor(volume, dtype=torch.float64)[None])
-        return [np.asarray(tensor) for tensor in named_outputs(value).values()]
+        return [without_batch(np.asarray(tensor)) for tensor in named_outputs(value).values()]
 
     return outputs
 
@@ -282,6 +291,10 @@ class _Conversion:
                 self._layer_list.names[node] = name
         except NotImplementedError as error:
             raise RefusedError(f"{kind}: {error}", f"{where}: {error}") from None
+        except (ArithmeticError, LookupError, TypeError, RuntimeError) as error:
+            # arguments of values that torch may refuse, too
+            reason = f"its arguments have no compiled form ({one_line(error)})"
+            raise RefusedError(f"{kind}: {reason}", f"{where}: {reason}") from None
 
     def _note_axes(self, node: fx.Node, form: TorchForm) -> None:
         """Note that a call keeps its channels last, or refuse it if it cannot."""

@@ -63,7 +63,7 @@ class LayerList:
     Attributes
     ----------
     names : node -> the layer that computes the node's value.
-    parts : node whose value is a tuple -> the layers that compute the parts.
+    parts : node whose value is a tuple -> the layers that compute the parts, None for an empty one.
     channels_last : nodes whose value has its channels as last axis. Their layers compute the map
         with the channels as first axis.
     grouped : node that is a view of a map with its channels in groups -> the groups. Its layer
@@ -76,7 +76,7 @@ class LayerList:
         self.layers: list[dict[str, Any]] = []
         self.weights: dict[str, np.ndarray] = {}
         self.names: dict[fx.Node, str] = {}
-        self.parts: dict[fx.Node, list[str]] = {}
+        self.parts: dict[fx.Node, list[str | None]] = {}
         self.channels_last: set[fx.Node] = set()
         self.grouped: dict[fx.Node, Grouped] = {}
 

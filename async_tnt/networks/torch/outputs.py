@@ -21,6 +21,10 @@ def named_outputs(value: Any) -> dict[str, Any]:
     ----------
     value : what the module returns, or what its trace returns, with nodes in place of tensors.
 
+    Raises
+    ------
+    NotImplementedError : two tensors have the same name.
+
     Examples
     --------
     >>> named_outputs({"flow": 1, "scales": [2, 3], "aux": None})
@@ -34,7 +38,10 @@ def named_outputs(value: Any) -> dict[str, Any]:
     for path, tensor in _leaves(value, ()):
         if not path or path[0].isdigit():
             path = (OUTPUT, *path)
-        named[".".join(path)] = tensor
+        name = ".".join(path)
+        if name in named:
+            raise NotImplementedError(f"two outputs of one name, {name!r}, have no compiled form")
+        named[name] = tensor
     return named
 
 

@@ -50,6 +50,23 @@ class ShapedProxy(fx.Proxy):
             return self.value.dim()
         return self.tracer.create_proxy("call_method", "dim", (self,), {})
 
+    # torch.fx has no forms of these, so `y = x; y += 1` would leave x as it was
+
+    def __iadd__(self, other: Any) -> Any:
+        return self._in_place("add_", other)
+
+    def __isub__(self, other: Any) -> Any:
+        return self._in_place("sub_", other)
+
+    def __imul__(self, other: Any) -> Any:
+        return self._in_place("mul_", other)
+
+    def __itruediv__(self, other: Any) -> Any:
+        return self._in_place("div_", other)
+
+    def _in_place(self, method: str, other: Any) -> Any:
+        return self.tracer.create_proxy("call_method", method, (self, other), {})
+
     def __len__(self) -> int:
         """The number of parts, or the first side of a tensor."""
         if self.value is None:
