@@ -42,6 +42,7 @@ QUICK = {
     "moving_mnist": "--mnist {mnist} --out {out}/moving --digits 2 --nmnist {nmnist}",
     "network": "--seconds 1 --pings 50",
     "nothing": "--quick",
+    "pixel_outputs": "--quick --json {out}/x.json",
     "recipes": "--nmnist {nmnist} --sets nmnist --candidates counts --out {out}",
     "starts": "--quick",
     "sustained": "--quick",

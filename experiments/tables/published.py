@@ -85,6 +85,23 @@ def zoo_accepted(report: Mapping[str, Any]) -> str:
     return table(head, rows)
 
 
+@of_report("pixel_outputs")
+def pixel_outputs(report: Mapping[str, Any]) -> str:
+    """A table of the work after an event, and its time beside a whole pass, by sensor."""
+    rows = []
+    for sensor, numbers in report["sensors"].items():
+        cells = [sensor, str(numbers["wrong_bits"])]
+        speed = numbers.get("speed")
+        if speed:
+            cells += [f"{speed['share']:.2%}", f"{speed['event_us']:,.0f}"]
+            cells += [f"{speed['onnxruntime_us']:,.0f}", f"{speed['ratio']:,.0f}"]
+        else:
+            cells += ["-"] * 4
+        rows.append(cells)
+    head = ["sensor", "bits that differ", "an event reaches", "us an event"]
+    return table([*head, "us a pass of ONNX Runtime", "times faster"], rows)
+
+
 @of_report("zoo")
 def zoo_refused(report: Mapping[str, Any]) -> str:
     """A table of the networks that torch or ONNX does not give, with the reason."""

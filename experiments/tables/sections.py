@@ -31,6 +31,7 @@ from experiments.tables.texts import (
     NETWORKS,
     NOTHING,
     PATHS,
+    PIXEL_OUTPUTS,
     RECIPE,
     SIMULATED,
     STARTS,
@@ -124,6 +125,12 @@ SECTIONS = (
             published.zoo_accepted: "Accepted from torch",
             published.zoo_refused: "Refused, and why",
         },
+    ),
+    Section(
+        title="Flow at every pixel",
+        text=PIXEL_OUTPUTS,
+        command="experiments.pixel_outputs --json experiments/results/pixel_outputs.json",
+        tables={published.pixel_outputs: "By the size of the sensor"},
     ),
     Section(
         title="Events into a volume",

@@ -32,6 +32,10 @@ beside that of torch in float32. An event and a whole pass of ONNX Runtime take 
 one thread; the pass reads a finished volume. Where numbers grow from layer to layer, as random
 weights let them, rounding grows, too."""
 
+PIXEL_OUTPUTS = """\
+FireFlowNet (F. Paredes-Valles et al. 2021) with random weights: a vector of flow for each pixel of
+the sensor. Measured as the networks above."""
+
 VOLUMES = """\
 Landmark `running`, 8 cells, transform included; random events."""
 
