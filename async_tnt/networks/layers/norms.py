@@ -8,6 +8,8 @@ norm takes them over a group of channels at all places, so one change makes all 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from async_tnt.kernels.network.functions import FUNCTIONS
@@ -29,13 +31,13 @@ def _layer_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shap
 def _layer_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
     channels = source.channels
-    mean_weights = np.full((1, channels, 1, 1), 1 / channels)
     one = Map(1, source.rows, source.columns)
-    negative_mean = step_list.add(MIX, [source], one, -mean_weights, [0.0])
-    centred = _of_two(step_list, TOTAL, source, negative_mean)
-    squares = _of_two(step_list, PRODUCT, centred, centred)
-    variance = step_list.add(MIX, [squares], one.like(), mean_weights, [layer["epsilon"]])
-    return _scaled(step_list, layer, centred, variance)
+    weights = np.full((1, channels, 1, 1), 1 / channels)
+
+    def mean(values: Map, factor: float, bias: float) -> Map:
+        return step_list.add(MIX, [values], one.like(), factor * weights, [bias])
+
+    return _normalized(step_list, layer, source, mean)
 
 
 def _group_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
@@ -47,15 +49,24 @@ def _group_norm_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shap
 
 
 def _group_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    (source,) = inputs
-    negative_mean = _mean_of_groups(step_list, layer, source, -1.0, 0.0)
-    centred = _of_two(step_list, TOTAL, source, negative_mean)
-    # the mean of many large numbers is rounded: what is left of it is small, and known better
-    rest = _mean_of_groups(step_list, layer, centred, -1.0, 0.0)
-    centred = _of_two(step_list, TOTAL, centred, rest)
+    def mean(values: Map, factor: float, bias: float) -> Map:
+        return _mean_of_groups(step_list, layer, values, factor, bias)
+
+    return _normalized(step_list, layer, inputs[0], mean)
+
+
+def _normalized(
+    step_list: StepList, layer: Layer, source: Map, mean: Callable[[Map, float, float], Map]
+) -> Map:
+    """Add the steps of a norm.
+
+    mean : adds the mean of a map's numbers, times a factor, plus a bias.
+    """
+    centred = _of_two(step_list, TOTAL, source, mean(source, -1.0, 0.0))
+    # the mean of large numbers is rounded: what is left of it is small, and known better
+    centred = _of_two(step_list, TOTAL, centred, mean(centred, -1.0, 0.0))
     squares = _of_two(step_list, PRODUCT, centred, centred)
-    variance = _mean_of_groups(step_list, layer, squares, 1.0, layer["epsilon"])
-    return _scaled(step_list, layer, centred, variance)
+    return _scaled(step_list, layer, centred, mean(squares, 1.0, layer["epsilon"]))
 
 
 def _mean_of_groups(
