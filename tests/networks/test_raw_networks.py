@@ -322,18 +322,18 @@ class NormOfFar(nn.Module):
 
 
 @pytest.mark.parametrize("norm", [nn.GroupNorm(1, 6), nn.GroupNorm(3, 6), nn.LayerNorm(6)])
-def test_a_norm_of_numbers_far_from_zero_is_as_exact_as_torchs(norm):
+def test_a_norm_of_numbers_far_from_zero_is_exact(norm):
+    """Torch's own has errors of 4e-5 to 2e-4 here, and one mean less would have 1e-4."""
     config = SMALL.replace(bins=6)
     module = NormOfFar(norm).eval()
     volume = np.random.default_rng(0).normal(size=config.shape).astype(np.float32)
     volume[:, 0, 0] = 0.25  # their variance is zero
     model = Model.from_torch(module, config)
     with torch.no_grad():
-        torchs = module(torch.tensor(volume)[None])[0].numpy()
         shifted = torch.tensor(volume + np.float32(1000) - np.float32(1000), dtype=torch.float64)
         expected = module.double()(shifted[None])[0].numpy()
     (found,) = CompiledNetwork(model)(volume)
-    assert np.abs(found - expected).max() <= max(4 * np.abs(torchs - expected).max(), 1e-5)
+    assert np.abs(found - expected).max() <= 1e-6
 
 
 def test_the_weights_of_a_norm_grow_with_its_channels():
