@@ -20,10 +20,10 @@ if __name__ == "__main__":  # libraries read these variables when they are impor
 import torch
 
 from async_tnt.base.progress import progress
+from experiments.published.trial import tried
 from experiments.published.zoo_list import entries
 from experiments.scripts.options import exit_with, run_script, script_parser
 from experiments.speed.timing import machine
-from experiments.zoo import tried
 
 NETWORK = "fire_flow_net"
 """Name in the list of published networks."""
@@ -33,7 +33,7 @@ SENSORS = ((128, 96), (346, 260), (640, 480))
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """The numbers of each sensor, see `experiments.zoo.tried`.
+    """The numbers of each sensor, see `tried`.
 
     quick : take the smallest sensor only.
     """

@@ -50,6 +50,7 @@ QUICK = {
     "threads": "--quick",
     "unseen_motions": "--quick",
     "volumes": "--quick",
+    "zoo": "nir_nmnist --json {out}/x.json",
 }
 """Name of a command -> options with which it takes seconds. {out} is a folder for its files."""
 

@@ -142,12 +142,14 @@ def test_figures_stand_in_their_rows(monkeypatch, program):
     assert report["ns_an_event"] == {"median": 3, "q1": 2, "q3": 4, "n": 5}
     assert report["us_a_decision"]["100"] == {"median": 300, "q1": 200, "q3": 400, "n": 5}
     assert report["decisions_a_second"] == {"median": 21, "q1": 14, "q3": 28, "n": 5}
-    rows = [" ".join(line.split()) for line in program("bench")[1].splitlines()[3:]]
+    *rows, reach = [" ".join(line.split()) for line in program("bench")[1].splitlines()[3:]]
+    assert reach.startswith("one event reaches at most ")
     assert rows == [
         "median quartiles",
         "ns an event into the volume 3.0 2.0 to 4.0",
         "us a decision, 1 new event 3.0 2.0 to 4.0",
         "us a decision, 100 new events 300.0 200.0 to 400.0",
         "us a decision, 1,300 new events 3,900 2,600 to 5,200",
+        "us a pass through the whole network 30.0 20.0 to 40.0",
         "decisions a second, one after every event 21.0 14.0 to 28.0",
     ]

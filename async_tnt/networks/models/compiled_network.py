@@ -49,10 +49,12 @@ class CompiledNetwork:
     --------
     >>> from torch import nn
     >>> from async_tnt import CompiledNetwork, Model, TNTConfig, TNTVolume
-    >>> config = TNTConfig(sensor=(34, 34), bins=5)
+    >>> config = TNTConfig(sensor=(34, 34), bins=5, transform="none")
     >>> model = Model.from_torch(nn.Conv2d(5, 2, 3, padding=1), config)
     >>> network = CompiledNetwork(model)
     >>> volume = TNTVolume(config)
+    >>> volume.open(start_us=0)
+    >>> _ = network.refresh(volume)  # the first call computes everything
     >>> _ = volume.update_one(10, 17, 20, 1)
     >>> (flow,) = network.refresh(volume)
     >>> flow.shape, network.changed
