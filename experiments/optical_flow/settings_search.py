@@ -25,9 +25,9 @@ PLANE_CHOICES: dict[str, Sequence[float]] = {
 
 POOL_CHOICES: dict[str, Sequence[float]] = {
     **PLANE_CHOICES,
-    "pool_radius": (4, 6, 8, 12, 16),
-    "pool_us": (5_000, 10_000, 20_000, 40_000),
-    "prior": (0.3, 1.0, 3.0, 10.0),
+    "pool_radius": (4, 8, 12, 16, 24),
+    "pool_us": (10_000, 20_000, 40_000, 80_000),
+    "prior": (1.0, 3.0, 10.0, 30.0, 100.0),
 }
 """Setting of pooled plane fits -> values that are tried."""
 

@@ -74,4 +74,4 @@ def flow_times(report: dict[str, Any]) -> str:
         quartiles = f"{short(us['q1'])} to {short(us['q3'])}"
         cells = [short(us["median"]), quartiles, short(us["p99"])]
         rows.append([name, *cells, "" if ratio is None else f"{ratio:.0f}"])
-    return table(["microseconds", "median", "quartiles", "99 %", "of an event"], rows)
+    return table(["microseconds", "median", "quartiles", "99 %", "times an event"], rows)
