@@ -34,6 +34,7 @@ QUICK = {
     "everywhere": "digits-everywhere --quick --nmnist {nmnist}",
     "few_recordings": "--quick --nmnist {nmnist} --mnist {mnist}",
     "figure_equivariance": "--json {out}/x.json",
+    "flow": "--quick --seeds 1 --json {out}/x.json",
     "found_paths": "--quick --nmnist {nmnist}",
     "from_pictures": "--quick --made --out {out}",
     "incremental": "--quick --json {out}/x.json",

@@ -10,6 +10,7 @@ from experiments.tables import (
     datasets,
     decisions,
     differences,
+    flow,
     published,
     streams,
     thesis,
@@ -23,6 +24,7 @@ from experiments.tables.texts import (
     EVERYWHERE,
     FEW,
     FEW_PICTURES,
+    FLOW,
     FROM_PICTURES,
     INPUTS,
     INTRODUCTION,
@@ -374,6 +376,25 @@ SECTIONS = (
                 "each second of the stream, which must stay below 1"
             ),
             streams.map_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Optical flow",
+        text=FLOW,
+        command="experiments.flow --json experiments/results/flow.json",
+        tables={
+            flow.flow_errors: (
+                "Endpoint errors, mean and standard deviation over sequences; in brackets other "
+                "networks' means; and in how many sequences the first network with overlapping "
+                "windows is better"
+            ),
+            flow.flow_by_age: (
+                "Endpoint errors by the age of a window that does not overlap, scenes as trained"
+            ),
+            flow.flow_along: "Where a plane is found, and along its normal flow",
+            flow.flow_planes: "The settings of the plane fits",
+            flow.flow_times: "From an event to the flow on 346x260",
+            flow.flow_machine: "Machine",
         },
     ),
     Section(

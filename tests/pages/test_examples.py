@@ -127,6 +127,33 @@ def test_stream_equals_batch(lines_of):
     assert float(difference) <= 1e-6 * float(largest) and float(largest) > 1 and int(n_cells) > 1000
 
 
+def test_flow_per_event(lines_of, tmp_path, monkeypatch):
+    """With --quick it is trained hardly at all: all ways are compared, and the picture is drawn."""
+    pytest.importorskip("torch", reason="the network needs torch")
+    from experiments.optical_flow import picture
+
+    monkeypatch.setattr(picture, "DURATION_US", 60_000)
+    words = ("--quick", "--out", "flow.safetensors", "--picture", "flow.gif")
+    lines = lines_of("flow_per_event.py", *words)
+    assert lines[0] == "model in flow.safetensors"
+    model = async_tnt.load_model(tmp_path / "flow.safetensors")
+    assert lines[1] == repr(model) and model.output_shapes == {"output": (2, 64, 64)}
+    assert lines[2].startswith("2 test sequences (seed 0), ")
+    errors = [re.fullmatch(r"  (.+?) +([\d.]+) ± +[\d.]+ px/s", line) for line in lines[3:7]]
+    assert [error[1] for error in errors] == [
+        "network",
+        "zero flow",
+        "plane fit",
+        "plane fits, pooled",
+    ]
+    assert float(errors[3][2]) < float(errors[1][2])
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in lines[8:]]
+    assert {"one event", "whole pass, async_tnt", "whole pass, torch"} <= set(rows)
+    assert (tmp_path / "flow.gif").stat().st_size > 10_000
+    again = lines_of("flow_per_event.py", "--quick", "--model", "flow.safetensors")
+    assert again[0] == lines[1] and again[1:6] == lines[2:7]
+
+
 def test_send_recordings(lines_of, tmp_path):
     """They arrive whole and in order, each from the start of a window on."""
     first = random_events(400, duration_us=3000)
