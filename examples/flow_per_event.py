@@ -4,16 +4,16 @@
     python -m examples.flow_per_event --model flow.safetensors --picture flow.gif
 
 Run it in a checkout, after `pip install -e '.[train,onnx]'`. The network, the scenes and the
-training are in `experiments/optical_flow`.
+training are in `examples/optical_flow`.
 
 The model has raw outputs: `Processor.push` returns an `Output` for each event, whose array is the
 flow at each pixel, in pixels per second. Test sequences show other kinds of pictures and motions
 than the training. They are streamed event by event. After some events, drawn at random, the flow at
-the event's pixel is compared with the true flow, which the simulation knows. Printed are:
+the event's pixel is compared with the true flow, which the simulation knows. The mean distance
+between both, the endpoint error, is printed beside those of zero flow and of plane fits.
 
-- the mean distance between both, the endpoint error, beside those of zero flow and of plane fits;
-- the microseconds from an event to the flow, beside a pass of the whole network. Before they are
-  printed, it is verified that both give the same flow to the bit.
+`async-tnt bench --model flow.safetensors` then says how many microseconds an event takes, and
+`python -m experiments.flow` compares errors and times at length.
 """
 
 import argparse
@@ -23,22 +23,20 @@ import numpy as np
 
 import async_tnt
 from async_tnt.base.progress import progress
-from experiments.optical_flow.comparison import endpoint_errors
-from experiments.optical_flow.network import HOP_US
-from experiments.optical_flow.picture import draw_picture
-from experiments.optical_flow.plane_fit import PLANE_SETTINGS, POOLED_SETTINGS
-from experiments.optical_flow.scenes import UNSEEN
-from experiments.optical_flow.sequences import (
+from examples.optical_flow.network import HOP_US
+from examples.optical_flow.picture import draw_picture
+from examples.optical_flow.plane_fit import PLANE_SETTINGS, POOLED_SETTINGS
+from examples.optical_flow.scenes import UNSEEN
+from examples.optical_flow.sequences import (
     TEST,
     KnownSequence,
+    endpoint_errors,
     plane_way,
     pooled_way,
     sequences,
     zero_flow,
 )
-from experiments.optical_flow.times import times
-from experiments.optical_flow.training import STEPS, train_flow
-from experiments.tables.flow import flow_times
+from examples.optical_flow.training import STEPS, train_flow
 
 SEED = 0
 """Seed of the test sequences."""
@@ -106,9 +104,6 @@ def main() -> None:
         print(f"model in {model.save(args.out)}")
     print(model)
     print_errors(model, 2 if args.quick else args.sequences, 20 if args.quick else 200)
-    print("\n346x260 pixels, the same flow to the bit after an event and by a whole pass:")
-    report = times(model, *((5, 2, 50) if args.quick else ()))
-    print(flow_times({"times": report}))
     if args.picture:
         draw_picture(args.picture, model)
 

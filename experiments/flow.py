@@ -17,10 +17,9 @@ from dataclasses import asdict
 from typing import Any
 
 from async_tnt import Model
-from experiments.optical_flow import comparison as C
-from experiments.optical_flow.network import HOP_US, WINDOW_US
-from experiments.optical_flow.scenes import TRAINED, UNSEEN
-from experiments.optical_flow.sequences import (
+from examples.optical_flow.network import HOP_US, WINDOW_US
+from examples.optical_flow.scenes import TRAINED, UNSEEN
+from examples.optical_flow.sequences import (
     DURATION_US,
     SENSOR,
     TEST,
@@ -32,9 +31,10 @@ from experiments.optical_flow.sequences import (
     sequences,
     zero_flow,
 )
+from examples.optical_flow.training import STEPS, train_flow
+from experiments.optical_flow import comparison as C
 from experiments.optical_flow.settings_search import PLANE_CHOICES, POOL_CHOICES, best_settings
 from experiments.optical_flow.times import N_CHANGES, N_MOMENTS, N_STREAMED, times
-from experiments.optical_flow.training import STEPS, train_flow
 from experiments.scripts.options import add_count, exit_with, run_script, script_parser
 from experiments.speed.timing import machine
 

@@ -1,1 +1,1 @@
-"""Optical flow after every event: made scenes with known flow, a network, and a plane fit."""
+"""Optical flow after every event: errors and times of the example's network and of plane fits."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.optical_flow.network import WINDOW_US
-from experiments.optical_flow.sequences import KnownSequence, Way, ages_us
+from examples.optical_flow.network import WINDOW_US
+from examples.optical_flow.sequences import KnownSequence, Way, ages_us, endpoint_errors
 
 ZERO = "zero flow"
 PLANE = "plane fit"
@@ -30,14 +30,6 @@ def answers_of(ways: Mapping[str, Way], sequences: Iterable[KnownSequence]) -> A
         for name, way in ways.items():
             answers[name].append(way(sequence))
     return answers
-
-
-def endpoint_errors(flow: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """The distances from a flow to the true flow, (n,). Flow that was not found counts as zero.
-
-    flow, true : (n, 2), in pixels per second.
-    """
-    return np.hypot(*(np.nan_to_num(flow) - true).T)
 
 
 def mean_error(way: Way, sequences: Iterable[KnownSequence]) -> float:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt.base.progress import progress
+from examples.optical_flow.plane_fit import PlaneSettings
+from examples.optical_flow.sequences import KnownSequence, Way
 from experiments.optical_flow.comparison import mean_error
-from experiments.optical_flow.plane_fit import PlaneSettings
-from experiments.optical_flow.sequences import KnownSequence, Way
 
 PLANE_CHOICES: dict[str, Sequence[float]] = {
     "radius": (1, 2, 3, 4),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt import CompiledNetwork, Model, Output, Processor
-from experiments.optical_flow.network import HOP_US, WINDOW_US
-from experiments.optical_flow.scenes import TRAINED, random_scene
+from examples.optical_flow.network import HOP_US, WINDOW_US
+from examples.optical_flow.scenes import TRAINED, random_scene
 from experiments.speed.interleaved import WorkDiffers
 from experiments.speed.timing import is_installed, latency, no_collector, one_thread
 

@@ -10,22 +10,21 @@ from async_tnt.simulation import PixelModel
 
 torch = pytest.importorskip("torch", reason="the network needs torch")
 
-from experiments.optical_flow import comparison  # noqa: E402
-from experiments.optical_flow.drawing import FINENESS  # noqa: E402
-from experiments.optical_flow.network import (  # noqa: E402
+from examples.optical_flow.drawing import FINENESS  # noqa: E402
+from examples.optical_flow.network import (  # noqa: E402
     HOP_US,
     WINDOW_US,
     flow_config,
     flow_network,
 )
-from experiments.optical_flow.plane_fit import (  # noqa: E402
+from examples.optical_flow.plane_fit import (  # noqa: E402
     PLANE_SETTINGS,
     POOLED_SETTINGS,
     PlaneFit,
     PlaneSettings,
     normal_flows,
 )
-from experiments.optical_flow.scenes import (  # noqa: E402
+from examples.optical_flow.scenes import (  # noqa: E402
     TRAINED,
     Motion,
     Scene,
@@ -33,7 +32,7 @@ from experiments.optical_flow.scenes import (  # noqa: E402
     random_object,
     random_scene,
 )
-from experiments.optical_flow.sequences import (  # noqa: E402
+from examples.optical_flow.sequences import (  # noqa: E402
     VALIDATION,
     KnownSequence,
     ages_us,
@@ -41,7 +40,8 @@ from experiments.optical_flow.sequences import (  # noqa: E402
     sequences,
     zero_flow,
 )
-from experiments.optical_flow.training import Example, mirrored, train_flow  # noqa: E402
+from examples.optical_flow.training import Example, mirrored, train_flow  # noqa: E402
+from experiments.optical_flow import comparison  # noqa: E402
 from experiments.tables.parts import results  # noqa: E402
 
 SENSOR = (48, 40)

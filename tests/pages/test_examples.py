@@ -130,7 +130,7 @@ def test_stream_equals_batch(lines_of):
 def test_flow_per_event(lines_of, tmp_path, monkeypatch):
     """With --quick it is trained hardly at all: all ways are compared, and the picture is drawn."""
     pytest.importorskip("torch", reason="the network needs torch")
-    from experiments.optical_flow import picture
+    from examples.optical_flow import picture
 
     monkeypatch.setattr(picture, "DURATION_US", 60_000)
     words = ("--quick", "--out", "flow.safetensors", "--picture", "flow.gif")
@@ -147,8 +147,6 @@ def test_flow_per_event(lines_of, tmp_path, monkeypatch):
         "plane fits, pooled",
     ]
     assert float(errors[3][2]) < float(errors[1][2])
-    rows = [line.split(" | ")[0].removeprefix("| ") for line in lines[8:]]
-    assert {"one event", "whole pass, async_tnt", "whole pass, torch"} <= set(rows)
     assert (tmp_path / "flow.gif").stat().st_size > 10_000
     again = lines_of("flow_per_event.py", "--quick", "--model", "flow.safetensors")
     assert again[0] == lines[1] and again[1:6] == lines[2:7]

@@ -12,7 +12,7 @@ import numpy as np
 from async_tnt.simulation import PixelModel, simulate
 from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.random_pixels import random_pixels
-from experiments.optical_flow.drawing import BLURS_PX, FINENESS, blurred, shape, texture
+from examples.optical_flow.drawing import BLURS_PX, FINENESS, blurred, shape, texture
 
 SPEEDS_PX = (20.0, 300.0)
 """Range of the speeds of objects and grounds, in pixels per second, log-uniform."""

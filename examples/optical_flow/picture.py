@@ -14,9 +14,9 @@ from async_tnt.base.files import replacing
 from async_tnt.base.progress import progress
 from async_tnt.simulation import PixelModel
 from async_tnt.views.figure_style import OFF, ON
-from experiments.optical_flow.drawing import FINENESS, blurred, texture
-from experiments.optical_flow.network import HOP_US
-from experiments.optical_flow.scenes import Kinds, Motion, Scene, ground_of, random_object
+from examples.optical_flow.drawing import FINENESS, blurred, texture
+from examples.optical_flow.network import HOP_US
+from examples.optical_flow.scenes import Kinds, Motion, Scene, ground_of, random_object
 
 SENSOR = (160, 120)
 """Width and height of the sensor, in pixels."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from async_tnt import Model, Output, Processor
-from experiments.optical_flow.network import WINDOW_US
-from experiments.optical_flow.plane_fit import PlaneFit, PlaneSettings
-from experiments.optical_flow.scenes import Kinds, Scene, random_scene
+from examples.optical_flow.network import WINDOW_US
+from examples.optical_flow.plane_fit import PlaneFit, PlaneSettings
+from examples.optical_flow.scenes import Kinds, Scene, random_scene
 
 SENSOR = (128, 96)
 """Width and height of a sequence, in pixels."""
@@ -147,3 +147,11 @@ def ages_us(sequence: KnownSequence, hop_us: int | None) -> np.ndarray:
     hop = hop_us or WINDOW_US
     oldest_start = (t - WINDOW_US) // hop * hop + hop
     return t - oldest_start
+
+
+def endpoint_errors(flow: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """The distances from a flow to the true flow, (n,). Flow that was not found counts as zero.
+
+    flow, true : (n, 2), in pixels per second.
+    """
+    return np.hypot(*(np.nan_to_num(flow) - true).T)

@@ -10,8 +10,8 @@ from torch import nn
 
 from async_tnt import Model, TNTVolume
 from async_tnt.base.progress import progress
-from experiments.optical_flow.network import WINDOW_US, flow_config, flow_network
-from experiments.optical_flow.scenes import TRAINED, random_scene
+from examples.optical_flow.network import WINDOW_US, flow_config, flow_network
+from examples.optical_flow.scenes import TRAINED, random_scene
 
 SENSOR = (64, 64)
 """Width and height of the scenes of the training, in pixels."""
