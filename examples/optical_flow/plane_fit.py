@@ -70,13 +70,13 @@ sequences."""
 POOLED_SETTINGS = PlaneSettings(
     radius=1,
     oldest_us=50_000,
-    burst_us=20_000,
+    burst_us=40_000,
     off_us=5_000,
-    share=0.4,
+    share=0.5,
     fastest_px=500.0,
-    pool_radius=12,
-    pool_us=20_000,
-    prior=3.0,
+    pool_radius=16,
+    pool_us=40_000,
+    prior=10.0,
 )
 """Settings of pooled plane fits, chosen in the same way."""
 

@@ -156,3 +156,31 @@ def test_the_part_of_the_official_test_that_is_at_hand():
     assert (found["official_test_recordings"], found["of"]) == (8_000, 10_000)
     assert round(found["accuracy"], 4) == recordings
     assert round(found["window_accuracy"], 4) == windows
+
+
+def test_flow_is_better_than_plane_fits_where_it_says_so_and_worse_where_it_says_so():
+    report = results("flow")
+    half = report["settings"]["sequences"] / 2
+    said("In scenes as trained, the network with overlapping windows is better than pooled plane")
+    said("In scenes of other kinds, which it was not trained on, pooled plane fits are better in")
+    ways = {name: test["ways"] for name, test in report["tests"].items()}
+    better = {name: rows["plane fits, pooled"]["better"] for name, rows in ways.items()}
+    assert better["as trained"] > half > better["others"]
+    said("With windows end to end the network is worse than pooled plane fits.")
+    for rows in ways.values():
+        assert rows["network"]["mean"] > rows["plane fits, pooled"]["mean"]
+    said("A window that has just begun tells little.")
+    youngest = report["tests"]["as trained"]["by_age_ms"]["0-5"]
+    assert youngest["network"] > 0.9 * youngest["zero flow"]
+
+
+def test_flow_after_an_event_takes_a_small_part_of_a_whole_pass():
+    times = results("flow")["times"]
+    us = {name: row["median"] for name, row in times["us"].items()}
+    whole_us = us["whole pass, onnxruntime"]
+    (part,) = said("On 346x260 pixels, the flow after an event takes less than 1/# of a whole pass")
+    assert min(times["ratio"].values()) > part
+    said("its first event takes longer than a whole pass.")
+    assert us["first event of a new window"] > whole_us
+    said("About a hundred events that come at once, all over the sensor, cost as much as a whole")
+    assert 75 < 50 * whole_us / us["50 events at once"] < 150
