@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
@@ -44,19 +45,22 @@ def load_model(
     *,
     config: TNTConfig | None = None,
     classes: Sequence[str] | None = None,
+    **spiking: Any,
 ) -> Model:
     """Load a bundled model by its name, such as "digits", or any model by the path of its file.
 
-    The file is a model file or an .onnx network.
+    The file is a model file, an .onnx network or a .nir graph.
 
     Parameters
     ----------
-    name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file; `~` is
-        the home folder.
+    name_or_path : one of `bundled_models()`, or the path of a .safetensors, .onnx or .nir file;
+        `~` is the home folder.
     config : how events become volumes, for an .onnx network of another program. Other files contain
         their configuration.
     classes : class names in the order of the logits, for an .onnx network of another program.
-        Without them the model has raw outputs, with the names that they have in the file.
+        Without them the model has raw outputs, with the names that they have in the file. Also for
+        a .nir graph.
+    spiking : the other parameters of `Model.from_nir`, for a .nir graph.
 
     Returns
     -------
@@ -84,6 +88,12 @@ def load_model(
                 f"no model file {path}, and no bundled model of that name (bundled: {names})"
             )
         refuse_git_lfs(path)
+    if path.suffix.lower() == ".nir":
+        if config is not None:
+            raise TypeError("`config` is for .onnx networks; a .nir graph says what it reads")
+        return Model.from_nir(path, classes=classes, **spiking)
+    if spiking:
+        raise TypeError(f"`{next(iter(spiking))}` is for .nir graphs, got {path}")
     if path.suffix.lower() == ".onnx":
         return load_onnx(path, config, classes)
     if config is not None or classes is not None:

@@ -25,6 +25,7 @@ from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.streaming.decision import Trigger
 from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
@@ -43,6 +44,7 @@ from async_tnt.streaming.window_classifier import (
     WindowClassifier,
 )
 from async_tnt.streaming.window_outputs import WindowOutputs
+from async_tnt.streaming.window_spikes import WindowSpikes
 from async_tnt.streaming.windows import WindowScheduler
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
@@ -58,6 +60,15 @@ def _check_same_outputs(saved: Any, network: Any) -> None:
     outputs = None
     if isinstance(network, CompiledNetwork):
         outputs = dict(zip(network.names, network.output_shapes, strict=True))
+    is_spiking = isinstance(saved, WindowSpikes)
+    if is_spiking:
+        saved_outputs = saved.classifier.outputs
+    if isinstance(network, SpikingNetwork):
+        outputs = network.outputs
+    if is_spiking != isinstance(network, SpikingNetwork):
+        kinds = {True: "a spiking network", False: "another network"}
+        rule = f"must be of a stream with {kinds[not is_spiking]}"
+        raise ParameterValueError("state", rule, f"one with {kinds[is_spiking]}")
     if saved_outputs != outputs:
         rule = f"must be of a stream with the raw outputs {short(outputs)}"
         raise ParameterValueError("state", rule, short(saved_outputs))
@@ -168,8 +179,12 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         networks = networks_of(model, classifier, regressor, classes)
         config = networks.config
         self.config = config
-        self._classifier: WindowClassifier | WindowOutputs
-        if isinstance(networks.classifier, CompiledNetwork):
+        self._classifier: WindowClassifier | WindowOutputs | WindowSpikes
+        spiking: SpikingNetwork | None = None
+        if isinstance(networks.classifier, SpikingNetwork):
+            spiking = networks.classifier
+            self._classifier = WindowSpikes(spiking, tuple(networks.classes or ()), confidence)
+        elif isinstance(networks.classifier, CompiledNetwork):
             self._classifier = WindowOutputs(config, networks.classifier, confidence)
         else:
             self._classifier = WindowClassifier(
@@ -184,7 +199,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         self._read_one = SingleEventReader()
         self._accepts_late = late == "accept"
         self._restarts = RestartWatch(on_restart, config.window_us)
-        self._windows = WindowScheduler(config, hop_us, start_us, networks.regressor)
+        self._windows = WindowScheduler(config, hop_us, start_us, networks.regressor, spiking)
         self._choose_ways()
         self.reset()
 
@@ -580,8 +595,8 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         return self._windows.counts(self._decoder.n_dropped)
 
     @property
-    def classifier(self) -> Classifier:
-        """The callable from a volume to logits.
+    def classifier(self) -> Classifier | SpikingNetwork:
+        """The callable from a volume to logits, or a spiking model's network.
 
         A classifier that is assigned is used from the next decision on. It is refused if it cannot
         fit the model.

@@ -12,6 +12,7 @@ from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.networks.models.compiled_network import CompiledNetwork, compiled_network_of
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.streaming.window_classifier import Classifier
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.regressor import Regressor
@@ -22,7 +23,7 @@ class StreamNetworks:
     """The configuration and the networks of a stream. The fields are parameters of `Processor`."""
 
     config: TNTConfig
-    classifier: Classifier | CompiledNetwork
+    classifier: Classifier | CompiledNetwork | SpikingNetwork
     regressor: Regressor | None
     classes: Sequence[str] | None
 
@@ -53,6 +54,8 @@ def networks_of(
         rule = "must be a Model, the name or path of one, or a TNTConfig"
         raise ParameterTypeError("model", rule, type(model).__name__)
 
+    if model.is_spiking:
+        return _spiking_networks(model, classifier, classes)
     network: Classifier | CompiledNetwork | None = classifier
     if network is None:
         network = compiled_network_of(model)
@@ -70,3 +73,18 @@ def networks_of(
         rule = "are for a network of logits; the model has raw outputs"
         raise ParameterValueError("classes", rule, short(classes))
     return StreamNetworks(model.config, network, regressor, classes)
+
+
+def _spiking_networks(
+    model: Model, classifier: Classifier | None, classes: Sequence[str] | None
+) -> StreamNetworks:
+    """The networks of a stream with a spiking model."""
+    if classifier is not None and not isinstance(classifier, SpikingNetwork):
+        rule = "must not be given: the events go through the spiking model's own network"
+        raise ParameterTypeError("classifier", rule, type(classifier).__name__)
+    network = SpikingNetwork(model) if classifier is None else classifier
+    names = model.classes if classes is None else tuple(classes)
+    if names and model.outputs:
+        rule = "are for a network of logits; the model has raw outputs"
+        raise ParameterValueError("classes", rule, short(names))
+    return StreamNetworks(model.config, network, None, names)

@@ -21,6 +21,8 @@ from async_tnt.base.messages import short
 from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.absorb import absorb_into_others
 from async_tnt.kernels.volume.state import RECEIVED
+from async_tnt.networks.models.spiking_network import SpikingNetwork
+from async_tnt.networks.models.spiking_volume import SpikingVolume
 from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
@@ -64,6 +66,7 @@ class WindowScheduler:
     Parameters
     ----------
     config, regressor : see `TNTVolume`.
+    spiking : the network that the events of each window go through; None if there is none.
     hop_us : distance between the starts of windows, at most window_us, which is the default. Not
         with `window_events`.
     start_us : start of the first window; None: at the first event. Not with `window_events`.
@@ -75,6 +78,7 @@ class WindowScheduler:
         hop_us: int | None,
         start_us: int | None,
         regressor: Regressor | None,
+        spiking: SpikingNetwork | None = None,
     ) -> None:
         self._window_us = config.window_us
         self._window_events = config.window_events
@@ -87,9 +91,16 @@ class WindowScheduler:
         self.start_us = None if start_us is None else checked_time("start_us", start_us)
         self.regressor = regressor
         n_volumes = math.ceil(config.window_us / self.hop_us)
-        self.volumes = [TNTVolume(config, regressor=regressor) for _ in range(n_volumes)]
+        self.volumes: list[TNTVolume] = []
+        for _ in range(n_volumes):
+            if spiking is None:
+                self.volumes.append(TNTVolume(config, regressor=regressor))
+            else:
+                self.volumes.append(SpikingVolume(spiking))
         # Where events are stored for a replay, they are not absorbed before a volume is read.
-        self._absorbs_at_once = self.overlap and not config.needs_replay
+        # Neurons have a state beside the volume's own.
+        has_cells_alone = not config.needs_replay and spiking is None
+        self._absorbs_at_once = self.overlap and has_cells_alone
         self._share_memory()
         self.reset()
 

@@ -2,17 +2,18 @@
 
     {"classifier": [layer, ...], "regressor": [layer, ...]}
 
-The regressor is present if the configuration needs one. A layer is an object with `op`, `name`,
-`inputs`, the parameters of its operation, and `weights` if the operation has some. Inputs are names
-of earlier layers, or "volume", the network's input (C, H, W). The last layer is the network's
-output, unless the model names other outputs. `weights` maps each role to the name of a tensor in
-the file; a role that the operation does not need may be missing. Sides are [y, x], paddings [top,
-left, bottom, right].
+The regressor is present if the configuration needs one. A spiking network stands under "spiking",
+in the place of the classifier. A layer is an object with `op`, `name`, `inputs`, the parameters of
+its operation, and `weights` if the operation has some. Inputs are names of earlier layers, or
+"volume", the network's input (C, H, W). The last layer is the network's output, unless the model
+names other outputs. `weights` maps each role to the name of a tensor in the file; a role that the
+operation does not need may be missing. Sides are [y, x], paddings [top, left, bottom, right].
 
 The operations, with their parameters and roles, are those of the table `OPERATIONS` in
 `networks/layers/operations.py`; `python -m pydoc async_tnt.networks.layers.operations` lists them.
-Every parameter is written, so readers need no defaults. An operation that is not in the table may
-be written in the same format: a release that cannot run the operation refuses the file.
+Those of a spiking network are in `networks/spiking/operations.py`. Every parameter is written, so
+readers need no defaults. An operation that is not in the table may be written in the same format: a
+release that cannot run the operation refuses the file.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ CLASSIFIER = "classifier"
 
 REGRESSOR = "regressor"
 """The name of the network that computes the landmark."""
+
+SPIKING = "spiking"
+"""The name of a spiking network. It takes the place of the classifier."""
 
 MAX_NUMBERS = 1 << 28
 """The most numbers in all maps of a network, with their padding, and in its layers' weights.
@@ -69,6 +73,7 @@ def layer_shapes(
     volume: Shape,
     tensors: Mapping[str, Shape],
     outputs: Sequence[str] | None = None,
+    operations: Mapping[str, Operation] = OPERATIONS,
 ) -> dict[str, Shape]:
     """Name of a layer -> the shape of its output; also VOLUME -> the shape of the volume.
 
@@ -79,6 +84,7 @@ def layer_shapes(
     tensors : name -> the shape of weights.
     outputs : the layers that compute the network's outputs, by default the last one. It is empty
         while more layers will follow.
+    operations : name -> operation that a layer may have.
 
     Raises
     ------
@@ -87,7 +93,7 @@ def layer_shapes(
     """
     if not layers and outputs is None:
         raise ValueError("a network must have at least one layer")
-    checked = _CheckedLayers(volume, tensors)
+    checked = _CheckedLayers(volume, tensors, operations)
     for place, layer in enumerate(layers):
         name = _name_of(place, layer)
         try:
@@ -167,7 +173,13 @@ class _CheckedLayers:
         a dense layer may read such a vector, as it depends on the order of the map's numbers.
     """
 
-    def __init__(self, volume: Shape, tensors: Mapping[str, Shape]) -> None:
+    def __init__(
+        self,
+        volume: Shape,
+        tensors: Mapping[str, Shape],
+        operations: Mapping[str, Operation],
+    ) -> None:
+        self._operations = operations
         self.shapes: dict[str, Shape] = {VOLUME: volume}
         self.flat_maps: set[str] = set()
         self._tensors = tensors
@@ -184,9 +196,9 @@ class _CheckedLayers:
         """
         if name in self.shapes:
             raise ValueError("another layer has this name")
-        operation = OPERATIONS.get(layer["op"])
+        operation = self._operations.get(layer["op"])
         if operation is None:
-            known = ", ".join(OPERATIONS)
+            known = ", ".join(self._operations)
             raise NotImplementedError(
                 f"layer {name!r} is a {layer['op']!r}; this release knows {known}"
             )

@@ -18,6 +18,12 @@ It raises a ValueError if the layer, its inputs and its weights do not fit each 
 StepsRule = Callable[[StepList, Layer, list[Map]], Map]
 """Steps so far, layer, its inputs; adds the layer's steps, and returns the map of its output."""
 
+
+def no_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    """Raise an error: the operation has no compiled steps."""
+    raise AssertionError(f"{layer['op']} is an operation of spiking networks")
+
+
 PlacesRule = Callable[[Layer, int, Axis], Axis]
 """Layer, 0 for rows or 1 for columns, that axis of the first input; returns the output's axis."""
 
@@ -43,7 +49,7 @@ class Operation:
     name : the `op` of layers with this operation.
     description : what the operation computes, in a sentence.
     shape : the rule of the output's shape.
-    steps : the rule of the compiled steps.
+    steps : the rule of the compiled steps; operations of spiking networks alone have none.
     parameters : name of a parameter -> the rule of its values.
     roles : role of weights -> whether a layer must have weights in this role.
     n_inputs : 1 for one input; 2 for two or more inputs.
@@ -60,7 +66,7 @@ class Operation:
     name: str
     description: str
     shape: ShapeRule
-    steps: StepsRule
+    steps: StepsRule = no_steps
     parameters: Mapping[str, Check] = field(default_factory=dict)
     roles: Mapping[str, bool] = field(default_factory=dict)
     n_inputs: int = 1

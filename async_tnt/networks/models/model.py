@@ -18,19 +18,28 @@ from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import (
     CLASSIFIER,
     REGRESSOR,
+    SPIKING,
     Network,
     ReadNetwork,
     layer_shapes,
     tensors_of,
 )
-from async_tnt.networks.layers.layer import Shape
+from async_tnt.networks.layers.layer import Layer, Shape
+from async_tnt.networks.layers.operations import OPERATIONS
 from async_tnt.networks.layers.reach import Work, work_of_one_event
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
-from async_tnt.volume.config import TNTConfig
+from async_tnt.networks.spiking.operations import (
+    SPIKING_OPERATIONS,
+    check_spiking_values,
+)
+from async_tnt.networks.spiking.outputs import check_spiking_outputs, outputs_of
+from async_tnt.volume.config import WINDOW_US, TNTConfig
 
 if TYPE_CHECKING:
     from torch import nn
+
+    from async_tnt.networks.nir.from_nir import PolarityOrder, Reset
 
 FORMAT = "async_tnt 2"
 """The `format` in a file's metadata.
@@ -40,7 +49,10 @@ Its number grows with each change after which older releases cannot read new fil
 FORMAT_OF_OUTPUTS = "async_tnt 3"
 """The `format` in the file of a model of raw outputs, which older releases cannot read."""
 
-FORMATS = (FORMAT, FORMAT_OF_OUTPUTS)
+FORMAT_OF_SPIKES = "async_tnt 4"
+"""The `format` in the file of a spiking model, which older releases cannot read."""
+
+FORMATS = (FORMAT, FORMAT_OF_OUTPUTS, FORMAT_OF_SPIKES)
 """The formats that this release reads."""
 
 CENTROID = "heatmap_centroid"
@@ -65,7 +77,8 @@ class Model:
     network : the layers, see `networks.layers.graph`. "classifier" computes logits, or raw outputs,
         from a volume (C, H, W). "regressor" computes the landmark from the raw volume. It is
         present if and only if the configuration has the landmark "regressor" and the transform
-        "tnt".
+        "tnt". In the place of "classifier", "spiking" is a network of neurons that each event goes
+        through.
     outputs : name of an output -> the layer of "classifier" that computes it. Only for a model
         without classes.
 
@@ -104,6 +117,16 @@ class Model:
         shapes = _checked_shapes(self.network, weights, self.config, self.outputs)
         if not self.outputs:
             _check_logits(list(shapes.values())[-1], len(self.classes), self.config)
+
+    @property
+    def is_spiking(self) -> bool:
+        """Whether the network is one of neurons, which each event goes through."""
+        return SPIKING in self.network
+
+    @property
+    def layers(self) -> Sequence[Layer]:
+        """The layers of the network that answers: "classifier" or "spiking"."""
+        return self.network[SPIKING if self.is_spiking else CLASSIFIER]
 
     @classmethod
     def from_torch(
@@ -191,6 +214,71 @@ class Model:
             raise NotImplementedError(f"{error}{way_out}") from None
         return model
 
+    @classmethod
+    def from_nir(
+        cls,
+        graph: Any,
+        *,
+        classes: Sequence[str] | None = None,
+        window_us: int = WINDOW_US,
+        reset: Reset | None = None,
+        dt: float | None = None,
+        polarity: PolarityOrder = "off_first",
+        record: Mapping[str, Any] | None = None,
+    ) -> Model:
+        """A spiking model of a NIR graph. Each event goes through it at its own time.
+
+        Parameters
+        ----------
+        graph : the path of a .nir file, or a `nir.NIRGraph`. Its input is (2, H, W), the polarity,
+            row and column of an event, or (1, H, W) for both polarities alike. Its last node is of
+            neurons.
+        classes : class names, in the order of the last layer's neurons. The class with most output
+            spikes in the window is decided for; of a leaky integrator, that with the largest
+            membrane. Without them the model has raw outputs, see
+            `networks.spiking.outputs.OUTPUTS`.
+        window_us : length of a window in microseconds. Neurons begin each window at rest.
+        reset : what a spike does to the membrane, which NIR leaves open: "subtract" takes the
+            threshold from it, as often as the membrane is above it; "value" sets it to `v_reset`.
+        dt : the time step, in seconds, of the program that trained a network with leaky neurons. An
+            input counts r dt / tau.
+        polarity : the order of the input's two channels.
+        record : see Model.
+
+        Raises
+        ------
+        ImportError : h5py is not installed.
+        TypeError : the graph leaves `reset` or `dt` open, and it was not passed.
+        NotImplementedError : nodes have no meaning at an event, and the message names them.
+        ValueError : the file is damaged, or the graph does not fit together.
+
+        References
+        ----------
+        - Pedersen et al. 2024, doi:10.1038/s41467-024-52259-9
+        """
+        from async_tnt.networks.nir.from_nir import Meaning, layers_from_nir
+        from async_tnt.networks.nir.graph import graph_of, read_graph
+
+        if isinstance(graph, (str, Path)):
+            opened = read_graph(user_path(graph))
+        elif hasattr(graph, "to_dict"):
+            opened = graph_of(graph.to_dict())
+        else:
+            rule = "must be the path of a .nir file, or a nir.NIRGraph"
+            raise ParameterTypeError("graph", rule, type(graph).__name__)
+        read = layers_from_nir(opened, Meaning(reset, dt, polarity))
+        config = TNTConfig(
+            sensor=read.sensor, grid=read.sensor, representation="count", window_us=window_us
+        )
+        return cls(
+            config,
+            read.weights,
+            () if classes is None else classes,  # type: ignore[arg-type]  # `cls` checks it
+            record or {},
+            network={SPIKING: read.layers},
+            outputs=outputs_of(read.layers) if classes is None else {},
+        )
+
     @property
     def logits_shape(self) -> Shape:
         """The shape of the classifier's output.
@@ -203,7 +291,7 @@ class Model:
         """
         if self.outputs:
             raise ValueError("a model of raw outputs has no logits: see `output_shapes`")
-        return self._shapes[self.network[CLASSIFIER][-1]["name"]]
+        return self._shapes[self.layers[-1]["name"]]
 
     @property
     def output_shapes(self) -> dict[str, Shape]:
@@ -216,7 +304,7 @@ class Model:
         """Where on the sensor the places of a map model's map lie; None for other models."""
         if self.outputs or self.logits_shape[0] == len(self.classes):
             return None
-        return places_of(self.network[CLASSIFIER], self.config)
+        return places_of(self.layers, self.config)
 
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
         """A model with the same network for another sensor, at the same scale.
@@ -249,7 +337,7 @@ class Model:
         """The multiplications of the classifier's convolutions and dense layers, for one volume."""
         shapes = self._shapes
         n = 0
-        for layer in self.network[CLASSIFIER]:
+        for layer in self.layers:
             if layer["op"] in ("conv", "dense"):
                 weight = self.weights[layer["weights"]["weight"]]
                 n += math.prod(shapes[layer["name"]]) * math.prod(weight.shape[1:])
@@ -261,7 +349,7 @@ class Model:
         config = self.config
         is_on_pixels = config.grid == config.sensor and config.transform == "none"
         return work_of_one_event(
-            self.network[CLASSIFIER],
+            self.layers,
             config.shape,
             self.weights,
             list(self.outputs.values()) or None,
@@ -273,7 +361,8 @@ class Model:
         """Layer of the classifier -> the shape of its output."""
         tensors = {name: w.shape for name, w in self.weights.items()}
         outputs = list(self.outputs.values()) or None
-        return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors, outputs)
+        operations = SPIKING_OPERATIONS if self.is_spiking else OPERATIONS
+        return layer_shapes(self.layers, self.config.shape, tensors, outputs, operations)
 
     def __repr__(self) -> str:
         sensor = "x".join(map(str, self.config.sensor))
@@ -308,6 +397,8 @@ class Model:
         if self.outputs:
             values["outputs"] = self.outputs
         file_format = FORMAT_OF_OUTPUTS if self.outputs else FORMAT
+        if self.is_spiking:
+            file_format = FORMAT_OF_SPIKES
         return {"format": file_format} | {name: json.dumps(value) for name, value in values.items()}
 
     def save(self, path: str | Path) -> Path:
@@ -379,7 +470,8 @@ def _checked_shapes(
     is_mapping = isinstance(network, Mapping)
     if not is_mapping or not all(isinstance(layers, Sequence) for layers in network.values()):
         raise ParameterTypeError("network", "must map names to lists of layers", short(network))
-    expected = [CLASSIFIER]
+    is_spiking = SPIKING in network
+    expected = [SPIKING if is_spiking else CLASSIFIER]
     if config.needs_regressor:
         expected.append(REGRESSOR)
     if set(network) != set(expected):
@@ -389,11 +481,15 @@ def _checked_shapes(
     tensors = {name: w.shape for name, w in weights.items()}
     shapes = {}
     for name, layers in network.items():
-        output_layers = list(outputs.values()) if outputs and name == CLASSIFIER else None
-        shapes[name] = layer_shapes(layers, config.shape, tensors, output_layers)
+        output_layers = list(outputs.values()) if outputs and name != REGRESSOR else None
+        operations = SPIKING_OPERATIONS if name == SPIKING else OPERATIONS
+        shapes[name] = layer_shapes(layers, config.shape, tensors, output_layers, operations)
     _check_centroids(network, shapes, config)
     _check_values(network, weights)
-    return shapes[CLASSIFIER]
+    if is_spiking:
+        check_spiking_values(network[SPIKING], weights)
+        check_spiking_outputs(network[SPIKING], outputs, config)
+    return shapes[expected[0]]
 
 
 def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:

@@ -1,0 +1,1 @@
+"""Spiking networks: each event goes through all layers at its own time."""

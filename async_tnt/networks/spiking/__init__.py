@@ -1,0 +1,1 @@
+"""Spiking networks: their layers, compiled programs, and volumes with neurons."""
