@@ -36,6 +36,7 @@ class WindowSpikes:
     ----------
     classifier : the network, which stands where other streams have a classifier.
     classes : class names.
+    outputs : name of a raw output -> its shape.
     decides_in_stretches : False.
     answers_are_views : whether answers are `Output` values.
     """
@@ -48,6 +49,7 @@ class WindowSpikes:
         self.classes: tuple[str, ...] | None = classes
         self.answers_are_views = not classes
         self.classifier = network
+        self.outputs = network.outputs
         self.check_confidence(confidence)
         if classes and len(classes) != network.n_classes:
             rule = f"must be {network.n_classes} names, one for each neuron of the output"
