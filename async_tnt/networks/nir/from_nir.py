@@ -12,7 +12,7 @@ from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import VOLUME
 from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.nir.graph import Graph, Node, in_order
-from async_tnt.networks.spiking.operations import FIRING, RESETS
+from async_tnt.networks.spiking.operations import CURRENT_ROLES, FIRING, OUTPUTS, RESETS
 
 Reset = Literal["subtract", "value"]
 
@@ -20,7 +20,7 @@ PolarityOrder = Literal["off_first", "on_first"]
 
 ORDERS = get_args(PolarityOrder)
 
-LEAKY = ("LIF", "LI")
+LEAKY = ("LIF", "LI", "CubaLIF", "CubaLI")
 """Nodes whose input counts by the time step of the program that trained them."""
 
 
@@ -68,7 +68,7 @@ def _check_meaning(graph: Graph, meaning: Meaning) -> None:
         raise ParameterValueError(
             "polarity", f"must be {' or '.join(ORDERS)}", short(meaning.polarity)
         )
-    if meaning.reset is None and kinds & {"IF", "LIF"}:
+    if meaning.reset is None and kinds & {"IF", "LIF", "CubaLIF"}:
         rule = (
             f"must be {' or '.join(RESETS)}: NIR leaves open how a neuron is reset. sinabs, and "
             "snnTorch by default, subtract the threshold; Norse resets to v_reset"
@@ -180,9 +180,9 @@ class _Reader:
             if layer["name"] in needed:
                 needed.update(layer["inputs"])
                 kept.insert(0, layer)
-        if not kept or kept[-1]["op"] not in (*FIRING, "li"):
+        if not kept or kept[-1]["op"] not in OUTPUTS:
             raise NotImplementedError(
-                "the graph's last node must be of neurons (IF, LIF or LI), as other values are "
+                "the graph's last node must be of neurons (IF, LIF, CubaLIF, LI or CubaLI), as other values are "
                 "there only while an event passes"
             )
         tensors = {name for layer in kept for name in layer.get("weights", {}).values()}
@@ -296,6 +296,10 @@ def _scale(reader: _Reader, node: Node) -> dict[str, Any]:
     return {"op": "scale", "tensors": {"scale": _floats(node, "scale")}}
 
 
+def _threshold(reader: _Reader, node: Node) -> dict[str, Any]:
+    return {"op": "threshold", "tensors": {"threshold": _floats(node, "threshold")}}
+
+
 def _neurons(op: str, *roles: str) -> Rule:
     def rule(reader: _Reader, node: Node) -> dict[str, Any]:
         tensors = {role: _floats(node, role) for role in roles}
@@ -304,7 +308,7 @@ def _neurons(op: str, *roles: str) -> Rule:
             layer["reset"] = reader.meaning.reset
             if "v_reset" in node.fields:
                 tensors["v_reset"] = _floats(node, "v_reset")
-        if "tau" in roles:
+        if "v_leak" in roles:
             assert reader.meaning.dt is not None
             layer["dt"] = float(reader.meaning.dt)
         return layer
@@ -325,6 +329,9 @@ RULES: dict[str, Rule] = {
     "Scale": _scale,
     "IF": _neurons("if", "r", "v_threshold"),
     "LIF": _neurons("lif", "tau", "r", "v_leak", "v_threshold"),
+    "CubaLIF": _neurons("cuba_lif", *CURRENT_ROLES, "v_threshold"),
     "LI": _neurons("li", "tau", "r", "v_leak"),
+    "CubaLI": _neurons("cuba_li", *CURRENT_ROLES),
+    "Threshold": _threshold,
 }
 """Type of a node -> its rule."""
