@@ -182,8 +182,8 @@ class _Reader:
                 kept.insert(0, layer)
         if not kept or kept[-1]["op"] not in OUTPUTS:
             raise NotImplementedError(
-                "the graph's last node must be of neurons (IF, LIF, CubaLIF, LI or CubaLI), as other values are "
-                "there only while an event passes"
+                "the graph's last node must be of neurons (IF, LIF, CubaLIF, LI or CubaLI), as "
+                "other values are there only while an event passes"
             )
         tensors = {name for layer in kept for name in layer.get("weights", {}).values()}
         weights = {name: values for name, values in self.weights.items() if name in tensors}
