@@ -35,7 +35,8 @@ from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 DESCRIPTION = """\
 Show a stream in the Rerun viewer while it is classified: the events and the landmark,
 the raw and the transformed volume, the probability of each class, the decisions. A
-model of raw outputs has a panel for each output instead of the last two. The timeline
+model of raw outputs has a panel for each output instead of the last two, and a spiking
+model one more, for the spikes of its layers. The timeline
 is that of the recording, in microseconds. It can be played, stopped and scrubbed.
 
   async-tnt view a.bin                              play at the recorded speed

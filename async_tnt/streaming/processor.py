@@ -26,6 +26,7 @@ from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.spiking_network import SpikingNetwork
+from async_tnt.networks.models.spiking_volume import SpikingVolume
 from async_tnt.streaming.decision import Trigger
 from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
@@ -582,6 +583,14 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     def landmark(self) -> tuple[float, float]:
         """The (oldest) open window's landmark (x, y), in grid pixels."""
         return self._windows.oldest.landmark
+
+    @property
+    def layer_spikes(self) -> dict[str, int]:
+        """Layer of neurons -> its spikes in the (oldest) open window; empty for other networks."""
+        volume = self._windows.oldest
+        if not isinstance(volume, SpikingVolume):
+            return {}
+        return {layer: volume.spikes(layer) for layer in volume.network.layers}
 
     @property
     def counts(self) -> Counts:

@@ -19,6 +19,7 @@ from async_tnt.base.checks import ParameterValueError, positive_int
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import Replacement, check_writable, user_path
 from async_tnt.networks.models.compiled_network import CompiledNetwork
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.processor import Processor
@@ -26,6 +27,7 @@ from async_tnt.streaming.streams import Settings, as_processor
 from async_tnt.views.rerun_decisions import DecisionLog
 from async_tnt.views.rerun_log import AnswerLog, StreamLog
 from async_tnt.views.rerun_outputs import OutputLog
+from async_tnt.views.rerun_spikes import SpikesLog
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE, as_events
 from async_tnt.volume.volume import TNTVolume
@@ -290,7 +292,12 @@ def _answer_log(rr: Any, stream: Any, processor: Processor[Any]) -> AnswerLog:
     if isinstance(network, CompiledNetwork):
         shapes = dict(zip(network.names, network.output_shapes, strict=True))
         return OutputLog(rr, stream, shapes)
-    return DecisionLog(rr, stream, processor)
+    if not isinstance(network, SpikingNetwork):
+        return DecisionLog(rr, stream, processor)
+    answers: AnswerLog = DecisionLog(rr, stream, processor)
+    if network.outputs:
+        answers = OutputLog(rr, stream, network.outputs)
+    return SpikesLog(rr, stream, processor, answers)
 
 
 def _save(stream: Any, path: Path) -> Replacement:

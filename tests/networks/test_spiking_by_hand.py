@@ -114,6 +114,72 @@ def test_a_leaky_integrator_decides_by_its_membrane():
     assert (first.label, second.label) == ("a", "b")
 
 
+def cuba(tau_syn, tau_mem, threshold, op="cuba_lif", **fields):
+    """Neurons to which an event gives a current of 1, of the resistance 8."""
+    weights = {
+        "tau_syn": [tau_syn] * 2,
+        "tau_mem": [tau_mem] * 2,
+        "r": [8.0] * 2,
+        "v_leak": [0.0] * 2,
+        "w_in": [tau_syn / 1e-4] * 2,
+    }
+    if op == "cuba_lif":
+        weights["v_threshold"] = threshold
+        fields["reset"] = "value"
+    return dense_model(layer(op, "out", "fc", weights, dt=1e-4, **fields))
+
+
+def test_a_current_raises_the_membrane_and_both_leak():
+    """With half-lives of 1 ms of the current and 2 ms of the membrane, p = q / 2.
+
+    v = 8 p (e^-qt - e^-pt) / (p - q) = 8 (2^-(t / 2) - 2^-t) is 2 after 2 ms, and 1.5 after 4 ms.
+    """
+    volume = volume_of(cuba(1e-3 / np.log(2), 2e-3 / np.log(2), [], "cuba_li"))
+    assert push(volume, (0, 1))[1] == [0.0, 0.0]
+    volume.update_one(2_000, 0, 0, 1)
+    np.testing.assert_allclose(volume.membranes(), [2.0, 0.5], rtol=1e-6)
+    volume.update_one(4_000, 0, 0, 1)
+    np.testing.assert_allclose(volume.membranes(), [1.5, 0.375], rtol=1e-6)
+
+
+def test_equal_leaks_of_current_and_membrane():
+    """v = 8 p t e^-pt, with p = log 2 / ms: 8 log 2 / 2 after a millisecond."""
+    volume = volume_of(cuba(1e-3 / np.log(2), 1e-3 / np.log(2), [], "cuba_li"))
+    push(volume, (0, 1))
+    volume.update_one(1_000, 0, 0, 1)
+    np.testing.assert_allclose(volume.membranes(), 4 * np.log(2) * np.array([1, 0.25]), rtol=1e-6)
+
+
+def test_a_neuron_with_a_current_fires_at_the_next_event_wherever_it_lies():
+    """Its membrane rises to 2 in 2 ms, and passes 1.9 before. The second neuron stays below."""
+    volume = volume_of(cuba(1e-3 / np.log(2), 2e-3 / np.log(2), [1.9, 1.9]))
+    push(volume, (0, 1))
+    assert push(volume, (1, 1))[0] == [0, 0]
+    volume = volume_of(cuba(1e-3 / np.log(2), 2e-3 / np.log(2), [1.9, 1.9]))
+    push(volume, (0, 1))
+    volume.update_one(2_000, 0, 0, 1)
+    assert volume.spike_counts().tolist() == [1, 0] and volume.membranes()[0] == 0.0
+    # a current of a quarter is left, which raises it again, but less
+    volume.update_one(4_000, 0, 0, 1)
+    assert volume.spike_counts().tolist() == [1, 0]
+    np.testing.assert_allclose(volume.membranes()[0], 0.5, rtol=1e-6)
+
+
+def test_a_threshold_forgets():
+    model = model_of(
+        layer("flatten", "flat", "volume"),
+        layer("dense", "fc", "flat", {"weight": np.ones((2, 24)) * [[0.4], [0.6]]}),
+        layer("threshold", "hidden", "fc", {"threshold": [0.5, 0.5]}),
+        layer("dense", "last", "hidden", {"weight": np.eye(2)}),
+        layer("if", "out", "last", {"r": [1.0] * 2, "v_threshold": [1.5] * 2}, reset="subtract"),
+    )
+    volume = volume_of(model)
+    for t in range(1, 5):
+        volume.update_one(t, 1, 2, t % 2)
+    assert volume.spikes("hidden") == 4  # of the second neuron, one for each event
+    assert volume.spike_counts().tolist() == [0, 2] and volume.membranes().tolist() == [0.0, 1.0]
+
+
 def test_a_late_event_acts_at_the_time_of_the_newest():
     weights = {"tau": [1e-3] * 2, "r": [10.0] * 2, "v_leak": [0.0] * 2, "v_threshold": [9.0] * 2}
     volume = volume_of(dense_model(layer("lif", "out", "fc", weights, reset="value", dt=1e-4)))

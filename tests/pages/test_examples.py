@@ -127,6 +127,21 @@ def test_stream_equals_batch(lines_of):
     assert float(difference) <= 1e-6 * float(largest) and float(largest) > 1 and int(n_cells) > 1000
 
 
+def test_spiking_network(lines_of):
+    """Each neuron has one spike for ten events of its half, or a few more."""
+    *lines, last = lines_of("spiking_network.py")
+    events = open_recording(sample_recordings()[3]).read()
+    n_left = int((events["x"] < 17).sum())
+    answer = next(line for line in reversed(lines) if " us  spikes " in line)
+    left, right, label = answer.split("spikes")[1].split()
+    assert (
+        0 <= n_left / 9.5 - int(left) <= 1 and 0 <= (len(events) - n_left) / 9.5 - int(right) <= 1
+    )
+    assert label == ("left" if n_left > len(events) / 2 else "right")
+    assert f"{len(events):,} events in the last window" in lines
+    assert re.fullmatch(r"layer \S+: 0\.10\d spikes and 2\.0 additions an event", last)
+
+
 def test_flow_per_event(lines_of, tmp_path, monkeypatch):
     """With --quick it is trained hardly at all: all ways are compared, and the picture is drawn."""
     pytest.importorskip("torch", reason="the network needs torch")
