@@ -6,6 +6,7 @@
     OnnxClassifier       any ONNX network, run by onnxruntime
     TorchClassifier      any torch module, TorchScript or exported program
     to_onnx              a Model's classifier as an ONNX network
+    to_nir               a spiking Model's network as a NIR graph
 
 A `Processor(config, classifier=...)` takes the two other classifiers. onnx, onnxruntime (extra
 `onnx`) and torch are imported only when they are needed.
@@ -16,6 +17,7 @@ from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegre
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.torch_modules import TorchClassifier
+from async_tnt.networks.nir.export import to_nir
 from async_tnt.networks.onnx.export import to_onnx
 from async_tnt.networks.onnx.network import OnnxClassifier
 
@@ -28,5 +30,6 @@ __all__ = [
     "TorchClassifier",
     "bundled_models",
     "load_model",
+    "to_nir",
     "to_onnx",
 ]

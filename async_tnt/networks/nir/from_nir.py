@@ -321,8 +321,9 @@ def _neurons(op: str, *roles: str) -> Rule:
         layer: dict[str, Any] = {"op": op, "tensors": tensors}
         if op in FIRING:
             layer["reset"] = reader.meaning.reset
-            if "v_reset" in node.fields:
-                tensors["v_reset"] = _floats(node, "v_reset")
+            reset_to = _floats(node, "v_reset") if "v_reset" in node.fields else np.zeros(0)
+            if reset_to.any():  # without it, it is 0
+                tensors["v_reset"] = reset_to
         if "tau" in roles:
             assert reader.meaning.dt is not None
             layer["dt"] = float(reader.meaning.dt)

@@ -101,9 +101,10 @@ def sound(path):
 
 
 def refusal_of_file(path, **meaning):
-    """The same as `refusal`; the message must begin with a file's path, or name a node."""
+    """The same as `refusal`; the message must begin with the path, or name a node or weights."""
     message = refusal(path, **meaning)
-    assert message is None or message.startswith(str(path)) or "node '" in message or "`" in message
+    if message is not None and not message.startswith(str(path)):
+        assert any(word in message for word in ("node '", "layer '", "`"))
     return message
 
 
