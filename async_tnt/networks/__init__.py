@@ -7,6 +7,7 @@
     TorchClassifier      any torch module, TorchScript or exported program
     to_onnx              a Model's classifier as an ONNX network
     to_nir               a spiking Model's network as a NIR graph
+    spiking_from_rates   a spiking Model of a trained network of ReLUs
 
 A `Processor(config, classifier=...)` takes the two other classifiers. onnx, onnxruntime (extra
 `onnx`) and torch are imported only when they are needed.
@@ -20,6 +21,7 @@ from async_tnt.networks.models.torch_modules import TorchClassifier
 from async_tnt.networks.nir.export import to_nir
 from async_tnt.networks.onnx.export import to_onnx
 from async_tnt.networks.onnx.network import OnnxClassifier
+from async_tnt.networks.spiking.conversion import spiking_from_rates
 
 __all__ = [
     "CompiledClassifier",
@@ -30,6 +32,7 @@ __all__ = [
     "TorchClassifier",
     "bundled_models",
     "load_model",
+    "spiking_from_rates",
     "to_nir",
     "to_onnx",
 ]

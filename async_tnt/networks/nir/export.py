@@ -35,7 +35,7 @@ def to_nir(model: Model, *, polarity: PolarityOrder = "off_first") -> nir.NIRGra
     graph's meaning; they stand in its metadata.
 
     A network of ReLUs has no NIR form, because NIR 1.0 has no ReLU and no maximum. Its rate-based
-    form is a spiking model: see `networks.spiking.rates.spiking_from_rates`.
+    form is a spiking model: see `networks.spiking_from_rates`.
 
     Parameters
     ----------
