@@ -23,8 +23,9 @@ from made import (
     random_regressor_model,
     raw_model,
 )
+from networks.random_spiking import random_spiking_model
 
-from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
+from async_tnt import CompiledRegressor, Processor, SpikingVolume, TNTConfig, TNTVolume
 
 CONFIG = TNTConfig(sensor=(30, 24), grid=(14, 12), bins=3, window_us=1000, t_max=2.0)
 KINDS = {
@@ -110,6 +111,22 @@ class Volume(Copied):
         )
 
 
+SPIKING = TNTConfig(sensor=(30, 24), grid=(30, 24), representation="count", window_us=1000)
+
+
+class Neurons(Volume):
+    """A SpikingVolume, used like a Processor that never decides."""
+
+    def __init__(self, config, seed):
+        self.volume = SpikingVolume(random_spiking_model(seed, config))
+
+    def look(self):
+        volume = self.volume
+        layers = [volume.membranes(layer).tobytes() for layer in volume.network.layers]
+        first, *others = super().look()
+        return first, *others, volume.spike_counts().tobytes(), layers
+
+
 class Stream(Copied):
     """A Processor, its decisions as comparable values."""
 
@@ -141,7 +158,18 @@ class OutputStream(Stream):
         self.processor = Processor(raw_model(config), **settings)
 
 
+class SpikingStream(Stream):
+    """A Processor of a spiking model, its answers as comparable values."""
+
+    def __init__(self, config, raw, settings):
+        self.processor = Processor(random_spiking_model(SEEDS[raw], config, raw=raw), **settings)
+
+
+SEEDS = {False: 9, True: 11}
+"""Whether outputs are raw -> the seed of a network that has spikes in all layers."""
+
 VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.items()}
+VOLUMES |= {f"neurons: {seed}": partial(Neurons, SPIKING, seed) for seed in SEEDS.values()}
 OF_A_DURATION = {"hop_us", "start_us"}
 # Each setting with both ways of deciding, and with one of the other landmarks.
 OTHERS = zip(itertools.cycle(["line", "window", "regressor", "image of mean times"]), SETTINGS)
@@ -165,7 +193,15 @@ OUTPUTS = {
     for name, settings in SETTINGS.items()
     if "confidence" not in settings
 }
-ALL = VOLUMES | PROCESSORS | OUTPUTS
+SPIKES = {
+    f"spiking, {name}, {'raw' if raw else 'classes'}": partial(
+        SpikingStream, SPIKING, raw, settings
+    )
+    for name, settings in SETTINGS.items()
+    for raw in (False, True)
+    if not (raw and "confidence" in settings)
+}
+ALL = VOLUMES | PROCESSORS | OUTPUTS | SPIKES
 of_all = pytest.mark.parametrize("make", ALL.values(), ids=ALL)
 
 

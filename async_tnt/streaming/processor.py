@@ -54,21 +54,19 @@ from async_tnt.volume.single_event import SingleEventReader
 from async_tnt.volume.volume import TNTVolume
 
 
-def _check_same_outputs(saved: Any, network: Any) -> None:
-    """Refuse a network whose outputs are not those of a saved stream."""
-    saved_outputs = saved.outputs if isinstance(saved, WindowOutputs) else None
+def _check_same_kind(saved: Any, network: Any) -> None:
+    """Refuse a network of another kind than that of a saved stream, or with other outputs."""
+    kinds = {True: "a spiking network", False: "another network"}
+    is_spiking = isinstance(network, SpikingNetwork)
+    if isinstance(saved, WindowSpikes) != is_spiking:
+        rule = f"must be of a stream with {kinds[is_spiking]}"
+        raise ParameterValueError("state", rule, f"one with {kinds[not is_spiking]}")
     outputs = None
-    if isinstance(network, CompiledNetwork):
-        outputs = dict(zip(network.names, network.output_shapes, strict=True))
-    is_spiking = isinstance(saved, WindowSpikes)
     if is_spiking:
-        saved_outputs = saved.classifier.outputs
-    if isinstance(network, SpikingNetwork):
         outputs = network.outputs
-    if is_spiking != isinstance(network, SpikingNetwork):
-        kinds = {True: "a spiking network", False: "another network"}
-        rule = f"must be of a stream with {kinds[not is_spiking]}"
-        raise ParameterValueError("state", rule, f"one with {kinds[is_spiking]}")
+    elif isinstance(network, CompiledNetwork):
+        outputs = dict(zip(network.names, network.output_shapes, strict=True))
+    saved_outputs = getattr(saved, "outputs", None)
     if saved_outputs != outputs:
         rule = f"must be of a stream with the raw outputs {short(outputs)}"
         raise ParameterValueError("state", rule, short(saved_outputs))
@@ -709,7 +707,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         if processor.config != config:
             rule = f"must be of the configuration {config}"
             raise ParameterValueError("state", rule, f"one of {processor.config}")
-        _check_same_outputs(processor._classifier, networks.classifier)
+        _check_same_kind(processor._classifier, networks.classifier)
         classes = networks.classes
         if classes is not None and processor.classes != tuple(classes):
             raise ValueError(

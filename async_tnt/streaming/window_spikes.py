@@ -36,18 +36,20 @@ class WindowSpikes:
     ----------
     classifier : the network, which stands where other streams have a classifier.
     classes : class names.
+    outputs : name of a raw output -> its shape.
     decides_in_stretches : False.
-    answers_are_views : False, because each answer has arrays of its own.
+    answers_are_views : whether answers are `Output` values.
     """
 
     decides_in_stretches = False
-    answers_are_views = False
 
     def __init__(
         self, network: SpikingNetwork, classes: tuple[str, ...], confidence: float | None
     ) -> None:
         self.classes: tuple[str, ...] | None = classes
+        self.answers_are_views = not classes
         self.classifier = network
+        self.outputs = network.outputs
         self.check_confidence(confidence)
         if classes and len(classes) != network.n_classes:
             rule = f"must be {network.n_classes} names, one for each neuron of the output"

@@ -1,0 +1,199 @@
+"""Spiking models: what they refuse, their files, and the state of their streams."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made import random_events
+from networks.random_spiking import CONFIG, random_spiking_model
+from networks.test_spiking_by_hand import dense_model, integrate, layer, model_of
+
+from async_tnt import (
+    CompiledClassifier,
+    Model,
+    Processor,
+    SpikingVolume,
+    TNTConfig,
+    load_model,
+    stream,
+)
+from async_tnt.networks.models.torch_modules import torch_classifier
+
+
+def events_of(config, n=300, seed=0):
+    return random_events(n, seed=seed, duration_us=3 * config.window_us, sensor=config.sensor)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_model_file_keeps_the_network(tmp_path, raw):
+    for seed in range(10):
+        model = random_spiking_model(seed, raw=raw)
+        again = load_model(model.save(tmp_path / "m.safetensors"))
+        assert again.network == model.network and again.outputs == model.outputs
+        assert (again.config, again.classes) == (model.config, model.classes)
+        assert again.weights.keys() == model.weights.keys()
+        for name, weight in model.weights.items():
+            np.testing.assert_array_equal(again.weights[name], weight)
+
+
+@pytest.mark.parametrize("hop_us", [None, 400])
+def test_a_saved_state_continues_the_stream(hop_us):
+    model = random_spiking_model(9)
+    events = events_of(CONFIG)
+    whole = Processor(model, every_events=3, hop_us=hop_us)
+    expected = whole.push(events)
+    first = Processor(model, every_events=3, hop_us=hop_us)
+    decisions = first.push(events[:150])
+    state = first.save_state()
+    assert len(state) < 200_000
+    continued = Processor.from_state(state, model)
+    decisions += continued.push(events[150:])
+    assert [d.logits.tolist() for d in decisions] == [d.logits.tolist() for d in expected]
+
+    other = Model(CONFIG, {}, ["a"], network=tiny_network())
+    with pytest.raises(ValueError, match="`state` must be of a stream with another network, got"):
+        Processor.from_state(state, other)
+
+
+def tiny_network():
+    return {
+        "classifier": [
+            {"op": "global_average_pool", "name": "m", "inputs": ["volume"]},
+            {"op": "pick", "name": "p", "inputs": ["m"], "channels": [0]},
+        ]
+    }
+
+
+def test_the_stream_of_another_network_is_refused():
+    model = Model(CONFIG, {}, ["a"], network=tiny_network())
+    state = Processor(model).save_state()
+    with pytest.raises(ValueError, match="of a stream with a spiking network, got one with anoth"):
+        Processor.from_state(state, random_spiking_model(9))
+
+
+def changed(model, **fields):
+    """The model whose last layer has other fields."""
+    *layers, last = model.network["spiking"]
+    return replace(model, network={"spiking": [*layers, last | fields]})
+
+
+LEAKY = {"tau": [1.0] * 2, "r": [1.0] * 2, "v_leak": [0.0] * 2, "v_threshold": [1.0] * 2}
+
+
+def leaky(**values):
+    return layer("lif", "out", "fc", LEAKY | values, reset="value", dt=1e-3)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: integrate("subtract", [0.0, 1.0]), "v_threshold must be positive with the reset"),
+        (lambda: integrate("subtract", v_reset=[0.0, -1.0]), "v_reset must be 0 with the reset"),
+        (lambda: integrate("value", v_reset=[2.0, 0.0]), "v_reset must not be above v_threshold"),
+        (lambda: integrate("value", [np.inf, 1.0]), "`out.v_threshold` must be finite numbers"),
+        (lambda: integrate("never"), "`reset` must be one of subtract, value, got 'never'"),
+        (lambda: leaky(tau=[0.0, 1.0]), "tau must be positive, got 0"),
+        (lambda: leaky(v_leak=[2.0, 0.0]), "v_leak must not be above v_threshold"),
+        (lambda: leaky(r=[1.0] * 3), "its r must have shape (2,) here, got (3,)"),
+        (
+            lambda: layer("lif", "out", "fc", LEAKY, reset="value", dt=0.0),
+            "`dt` must be a positive number, got 0.0",
+        ),
+        (
+            lambda: layer("lif", "out", "fc", LEAKY, reset="value"),
+            "must have dt",
+        ),
+    ],
+)
+def test_neurons_without_a_meaning_are_refused(make, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        dense_model(make())
+
+
+def test_other_layers_without_a_meaning_are_refused():
+    base = dense_model(integrate("subtract"))
+    with pytest.raises(ValueError, match=re.escape("'fc' (dense): its bias must be 0, got up to")):
+        model_of(
+            layer("flatten", "flat", "volume"),
+            layer("dense", "fc", "flat", {"weight": np.ones((2, 24)), "bias": [0.0, 0.5]}),
+            integrate("subtract"),
+        )
+    with pytest.raises(ValueError, match="the last layer of a spiking network must be of neurons"):
+        Model(
+            base.config,
+            {"fc.weight": base.weights["fc.weight"]},
+            ["a", "b"],
+            network={"spiking": base.network["spiking"][:2]},
+        )
+    with pytest.raises(NotImplementedError, match="layer 'relu' is a 'relu'; this release knows"):
+        model_of(layer("relu", "relu", "volume"), integrate("subtract"))
+    with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
+        replace(base, config=base.config.replace(window_events=100, window_us=None))
+    with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
+        replace(base, config=TNTConfig(sensor=(4, 3), grid=(4, 3), bins=2, transform="none"))
+    with pytest.raises(ValueError, match="the outputs of this spiking network must be spike"):
+        replace(base, classes=(), outputs={"out": "out"})
+    with pytest.raises(ValueError, match="the network must compute 3 logits"):
+        replace(base, classes=("a", "b", "c"))
+
+
+def test_networks_of_volumes_refuse_a_spiking_model():
+    model = random_spiking_model(9)
+    message = "`model` must have a network that reads volumes; events go through a spiking"
+    for use in (CompiledClassifier, torch_classifier):
+        with pytest.raises(ValueError, match=message):
+            use(model)
+    with pytest.raises(ValueError, match="`model` must be a spiking model"):
+        SpikingVolume(Model(CONFIG, {}, ["a"], network=tiny_network()))
+
+
+def test_settings_of_a_stream():
+    model = random_spiking_model(9)
+    raw = random_spiking_model(9, raw=True)
+    events = events_of(CONFIG)
+    assert len(list(stream(events, model, every_us=100))) > 10
+    with pytest.raises(ValueError, match="`confidence` is for models with classes"):
+        Processor(raw, confidence=0.9)
+    with pytest.raises(TypeError, match="`classifier` must not be given"):
+        Processor(model, classifier=lambda volume: [0, 0, 0])
+    with pytest.raises(ValueError, match="`classes` must be 3 names, one for each neuron"):
+        Processor(model, classes=["a", "b"])
+    with pytest.raises(ValueError, match="`classes` are for a network of logits"):
+        Processor(raw, classes=["a", "b", "c"])
+    processor = Processor(model)
+    with pytest.raises(TypeError, match="`classifier` cannot be exchanged"):
+        processor.classifier = lambda volume: [0, 0, 0]
+    with pytest.raises(ValueError, match="`layer` must be one of"):
+        SpikingVolume(model).spikes("nothing")
+
+
+def test_the_confidence_closes_a_window():
+    model = random_spiking_model(9)
+    decisions = list(stream(events_of(CONFIG), model, confidence=0.99))
+    assert {d.trigger for d in decisions} >= {"confidence"}
+    assert all(d.probability >= 0.99 for d in decisions if d.trigger == "confidence")
+
+
+def test_a_model_for_another_sensor_has_the_same_neurons():
+    conv, weights = layer(
+        "conv",
+        "conv",
+        "volume",
+        {"weight": np.ones((2, 2, 3, 3))},
+        kernel=[3, 3],
+        stride=[1, 1],
+        padding=[1, 1, 1, 1],
+        dilation=[1, 1],
+        groups=1,
+    )
+    values = {"r": [1.0] * 2, "v_threshold": [0.5] * 2}
+    neurons, tensors = layer("if", "out", "conv", values, reset="value")
+    network = {"spiking": [conv, neurons]}
+    outputs = {"spikes": "out", "membranes": "out", "first_spike_us": "out"}
+    model = Model(CONFIG, weights | tensors, network=network, outputs=outputs)
+    large = model.for_sensor((20, 16))
+    assert large.output_shapes["spikes"] == (2, 16, 20)
+    volume = SpikingVolume(large)
+    volume.update_one(5, 19, 15, 1)
+    assert volume.spikes() == 8  # of 2 x 2 places in the corner
