@@ -17,11 +17,11 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.nir_export import to_nir
+from async_tnt.networks.models.rate_conversion import spiking_from_rates
 from async_tnt.networks.models.torch_modules import TorchClassifier
-from async_tnt.networks.nir.export import to_nir
 from async_tnt.networks.onnx.export import to_onnx
 from async_tnt.networks.onnx.network import OnnxClassifier
-from async_tnt.networks.spiking.conversion import spiking_from_rates
 
 __all__ = [
     "CompiledClassifier",

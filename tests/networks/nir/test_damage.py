@@ -19,9 +19,8 @@ from networks.nir import bad_readers
 from networks.nir.random_graphs import RandomGraph
 from processes import started
 
-from async_tnt import Model
+from async_tnt import Model, SpikingVolume
 from async_tnt.base import hdf5_content
-from async_tnt.networks.models.spiking_volume import SpikingVolume
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "30"))
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
@@ -123,7 +122,7 @@ def test_random_bytes(path, monkeypatch):
         path.write_bytes(damaged)
         before = time.monotonic()
         refused += refusal_of_file(path) is not None
-        assert time.monotonic() - before < 10.0
+        assert time.monotonic() - before < 20.0
     assert refused > CASES // 4
 
 
@@ -519,7 +518,7 @@ def test_other_content(path, sound, change, message):
     before = time.monotonic()
     with pytest.raises(AssertionError, match=message):
         assert refusal_of_file(path) is None
-    assert time.monotonic() - before < 10.0
+    assert time.monotonic() - before < 20.0
 
 
 def test_attributes_and_metadata_of_any_kind(path, sound):

@@ -4,6 +4,7 @@ ASYNC_TNT_FUZZ_CASES makes it a long run: it was 5,000 graphs once.
 """
 
 import os
+import re
 from dataclasses import replace
 
 import h5py
@@ -11,11 +12,11 @@ import nir
 import numpy as np
 import pytest
 from networks.nir.random_graphs import RandomGraph
+from networks.random_spiking import random_spiking_model
 from networks.small import small_model
 
-from async_tnt import Model, TNTConfig
+from async_tnt import Model, SpikingVolume, TNTConfig
 from async_tnt.networks import to_nir
-from async_tnt.networks.models.spiking_volume import SpikingVolume
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "100"))
 
@@ -102,6 +103,32 @@ def test_metadata_says_what_a_graph_leaves_open(tmp_path):
         assert metadata["polarity"][()] == b"off_first"
         assert metadata["window_us"][()] == 50_000
         assert metadata["producer"][()].startswith(b"async_tnt ")
+
+
+NO_FORM = "its padding must be the same|layers differ in `(reset|dt)`|it adds a layer to itself"
+
+
+def test_random_models_that_came_from_no_graph():
+    """What has a NIR form computes the same; the last neurons may have another name."""
+    n_written = 0
+    for seed in range(2 * CASES):
+        model = random_spiking_model(seed)
+        try:
+            graph = to_nir(model)
+        except NotImplementedError as error:
+            assert re.search(NO_FORM, str(error))
+            continue
+        neurons = [layer for layer in model.layers if "reset" in layer or "dt" in layer]
+        meaning = {
+            name: next((layer[name] for layer in neurons if name in layer), None)
+            for name in ("reset", "dt")
+        }
+        window_us = model.config.window_us
+        again = Model.from_nir(graph, classes=model.classes, window_us=window_us, **meaning)
+        for own, other in zip(spikes_of(model, seed), spikes_of(again, seed), strict=True):
+            np.testing.assert_allclose(other, own, rtol=1e-6, atol=1e-6)
+        n_written += 1
+    assert n_written > CASES // 4
 
 
 # -- models that came from no graph ----------------------------------------------------------------

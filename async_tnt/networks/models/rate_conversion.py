@@ -89,6 +89,20 @@ def spiking_from_rates(
       networks through weight and threshold balancing, IJCNN.
     - Rueckauer, Lungu, Hu, Pfeiffer, Liu 2017, Conversion of continuous-valued deep networks to
       efficient event-driven networks for image classification, Frontiers in Neuroscience 11:682.
+
+    Examples
+    --------
+    >>> import async_tnt
+    >>> from torch import nn
+    >>> from async_tnt.sources import open_recording, sample_recordings
+    >>> config = async_tnt.TNTConfig(representation="count", polarity="split")
+    >>> module = nn.Sequential(nn.Flatten(), nn.Linear(2 * 34 * 34, 3, bias=False))
+    >>> model = Model.from_torch(module, config, classes=["a", "b", "c"])
+    >>> events = open_recording(sample_recordings()[3])
+    >>> windows = [window.volume for window in async_tnt.volumes(events, config)]
+    >>> spiking = spiking_from_rates(model, windows)
+    >>> [layer["op"] for layer in spiking.layers]
+    ['flatten', 'dense', 'if']
     """
     _check_arguments(model, spikes, percentile)
     layers, weights = _without_batch_norms(model)

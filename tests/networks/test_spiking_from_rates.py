@@ -5,9 +5,15 @@ import pytest
 import torch
 from torch import nn
 
-from async_tnt import CompiledClassifier, CompiledNetwork, Model, TNTConfig, TNTVolume
+from async_tnt import (
+    CompiledClassifier,
+    CompiledNetwork,
+    Model,
+    SpikingVolume,
+    TNTConfig,
+    TNTVolume,
+)
 from async_tnt.networks import spiking_from_rates, to_nir
-from async_tnt.networks.models.spiking_volume import SpikingVolume
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), representation="count", polarity="split")
 CLASSES = ("a", "b", "c", "d")

@@ -1,20 +1,15 @@
-"""A spiking Model's network as a NIR graph."""
+"""A NIR graph of the layers of a spiking network."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.extras import needs_extra
-from async_tnt.base.messages import short
-from async_tnt.base.package import __version__
-from async_tnt.networks.layers.graph import SPIKING, VOLUME, layer_shapes
+from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.layers.layer import Layer, Shape
-from async_tnt.networks.models.model import Model
 from async_tnt.networks.nir.from_nir import PolarityOrder
 from async_tnt.networks.spiking.operations import SPIKING_OPERATIONS
 
@@ -27,75 +22,36 @@ ON_FIRST = [0, 1]
 OFF_FIRST = [1, 0]
 
 
-def to_nir(model: Model, *, polarity: PolarityOrder = "off_first") -> nir.NIRGraph:
-    """The network of a spiking Model as a NIR graph, which `nir.write` writes to a file.
-
-    `Model.from_nir` with the same `polarity`, `reset` and `dt` gives the layers and weights again
-    if they came from a graph. These three and the model's window and classes are not part of a
-    graph's meaning; they stand in its metadata.
-
-    A network of ReLUs has no NIR form, because NIR 1.0 has no ReLU and no maximum. Its rate-based
-    form is a spiking model: see `networks.spiking_from_rates`.
+def nir_from_layers(
+    layers: Sequence[Layer],
+    weights: Mapping[str, np.ndarray],
+    volume: Shape,
+    polarity: PolarityOrder,
+    metadata: Mapping[str, Any],
+) -> nir.NIRGraph:
+    """The graph of a spiking network's layers, see `networks.models.nir_export.to_nir`.
 
     Parameters
     ----------
-    polarity : the order of the input's two channels. The published graphs of N-MNIST, and event
-        cameras' libraries in torch, have OFF first. A network that reads ON first gets a
-        convolution of one pixel that swaps the channels.
+    layers, weights : those of a Model.
+    volume : (2, H, W), the shape of the volume.
+    polarity : the order of the input's two channels.
+    metadata : name -> text or number.
 
     Raises
     ------
     ImportError : the library nir is not installed.
     NotImplementedError : a layer has no NIR form. The message names the layer.
-    ValueError : the model is no spiking model, or `polarity` is unknown.
-
-    References
-    ----------
-    - Pedersen et al. 2024, Neuromorphic intermediate representation: a unified instruction set for
-      interoperable brain-inspired computing, doi:10.1038/s41467-024-52259-9
     """
     with needs_extra("nir", "NIR graphs are written by nir"):
         import nir
-    if polarity not in get_args(PolarityOrder):
-        rule = f"must be {' or '.join(get_args(PolarityOrder))}"
-        raise ParameterValueError("polarity", rule, short(polarity))
-    if not model.is_spiking:
-        rule = (
-            "must be a spiking model, as NIR has no ReLU; `spiking_from_rates` makes one of a "
-            "network of ReLUs"
-        )
-        raise ParameterValueError("model", rule, short(repr(model)))
-
-    nodes = _Nodes(model, OFF_FIRST if polarity == "off_first" else ON_FIRST)
-    for layer in model.network[SPIKING]:
+    nodes = _Nodes(layers, weights, volume, OFF_FIRST if polarity == "off_first" else ON_FIRST)
+    for layer in layers:
         nodes.add_layer(layer)
     nodes.add_output()
-    metadata = _metadata_of(model, polarity)
     # neurons with a parameter for each channel fail the check of types, which wants one for each
     # place
-    return nir.NIRGraph(nodes.nodes, nodes.edges, metadata=metadata, type_check=False)
-
-
-def _metadata_of(model: Model, polarity: str) -> dict[str, Any]:
-    """What a reader of the graph has to know.
-
-    Raises
-    ------
-    NotImplementedError : neurons differ in what holds for a whole graph.
-    """
-    metadata: dict[str, Any] = {"producer": f"async_tnt {__version__}", "polarity": polarity}
-    for name in ("reset", "dt"):
-        values = {layer[name] for layer in model.network[SPIKING] if name in layer}
-        if len(values) > 1:
-            texts = ", ".join(sorted(map(str, values)))
-            raise NotImplementedError(
-                f"layers differ in `{name}` ({texts}), but a NIR graph is read with one of them"
-            )
-        metadata |= dict.fromkeys([name] if values else [], *values)
-    metadata["window_us"] = model.config.window_us
-    if model.classes:
-        metadata["classes"] = json.dumps(model.classes)
-    return metadata
+    return nir.NIRGraph(nodes.nodes, nodes.edges, metadata=dict(metadata), type_check=False)
 
 
 class _Nodes:
@@ -107,16 +63,20 @@ class _Nodes:
     edges : pairs of names.
     """
 
-    def __init__(self, model: Model, order: list[int]) -> None:
+    def __init__(
+        self,
+        layers: Sequence[Layer],
+        weights: Mapping[str, np.ndarray],
+        volume: Shape,
+        order: list[int],
+    ) -> None:
         self.nodes: dict[str, Any] = {}
         self.edges: list[tuple[str, str]] = []
-        self._model = model
-        self._layers = model.network[SPIKING]
+        self._layers = layers
+        self._weights = weights
         self._order = order
-        tensors = {name: w.shape for name, w in model.weights.items()}
-        self._shapes = layer_shapes(
-            self._layers, model.config.shape, tensors, operations=SPIKING_OPERATIONS
-        )
+        tensors = {name: w.shape for name, w in weights.items()}
+        self._shapes = layer_shapes(layers, volume, tensors, operations=SPIKING_OPERATIONS)
         # layer -> the nodes whose sum it is
         self._nodes_of: dict[str, list[str]] = {}
         self._input: str | None = None
@@ -124,7 +84,7 @@ class _Nodes:
 
     def _add_input(self) -> None:
         """Add the input, which has the name of the layer that stands for it, if there is one."""
-        _, height, width = self._model.config.shape
+        _, height, width = self._shapes[VOLUME]
         readers = [layer for layer in self._layers if VOLUME in layer["inputs"]]
         first = readers[0]
         n_channels = 2
@@ -143,7 +103,7 @@ class _Nodes:
         """Whether a layer adds the two polarities of each pixel, as that of an input (1, H, W)."""
         if layer["op"] != "conv":
             return False
-        weight = self._model.weights[layer["weights"]["weight"]]
+        weight = self._weights[layer["weights"]["weight"]]
         is_ones = weight.shape == (1, 2, 1, 1) and bool((weight == 1.0).all())
         return is_ones and list(layer["stride"]) == [1, 1] and not any(layer["padding"])
 
@@ -225,7 +185,7 @@ class _Nodes:
         op = layer["op"]
         source = self._shapes[layer["inputs"][0]]
         tensors = {
-            role: self._model.weights[name].copy()  # whoever has the graph may change it
+            role: self._weights[name].copy()  # whoever has the graph may change it
             for role, name in layer.get("weights", {}).items()
         }
         if op == "conv":
