@@ -115,6 +115,9 @@ MODULES = {
         conv(2, 8), nn.ReLU(), sum_pool(), nn.Flatten(), dense(8 * 16, 4), nn.ReLU()
     ),
     "residual": Residual,
+    "flattened ReLUs": lambda: nn.Sequential(
+        conv(2, 8), sum_pool(), nn.Flatten(), nn.ReLU(), dense(8 * 16, 4)
+    ),
     "global pooling": lambda: nn.Sequential(
         conv(2, 16, stride=2), nn.ReLU(), conv(16, 4), nn.AdaptiveAvgPool2d(1), nn.Flatten()
     ),
@@ -219,6 +222,17 @@ def test_it_goes_out_as_a_nir_graph(made):
             np.testing.assert_array_equal(
                 spikes_of(again, one).spike_counts(), spikes_of(spiking, one).spike_counts()
             )
+
+
+def test_a_percentile_by_hand():
+    """Activations 1 to 64, of which 50 % are up to 32.5."""
+    module = nn.Sequential(nn.Conv2d(2, 1, 1, bias=False), nn.ReLU())
+    module[0].weight.data[:] = 0.5
+    window = np.stack([np.arange(1.0, 65.0).reshape(8, 8)] * 2).astype(np.float32)
+    model = Model.from_torch(module, CONFIG)
+    for percentile, threshold in ((50, 32.5), (100, 64.0)):
+        spiking = spiking_from_rates(model, [window], spikes=1, percentile=percentile)
+        assert (spiking.weights["1.v_threshold"] == threshold).all()
 
 
 # -- what is refused -------------------------------------------------------------------------------

@@ -253,7 +253,8 @@ def _percentiles(
     names = [layer["name"] for layer in layers if layer["op"] == "relu"]
     if layers[-1]["name"] not in names:
         names.append(layers[-1]["name"])
-    outputs = {f"{k}": name for k, name in enumerate(names)}
+    by_name = {layer["name"]: layer for layer in layers}
+    outputs = {str(k): _before_flatten(by_name, name) for k, name in enumerate(names)}
     network = CompiledNetwork(
         Model(model.config, weights, network={CLASSIFIER: layers}, outputs=outputs)
     )
@@ -268,7 +269,7 @@ def _percentiles(
 
     largest = {}
     for name, activations in zip(names, found, strict=True):
-        every = np.concatenate(activations)
+        every = np.maximum(np.concatenate(activations), 0.0)
         value = float(np.percentile(every, percentile))
         if value <= 0.0:
             value = float(every.max())
@@ -276,6 +277,20 @@ def _percentiles(
             raise ParameterValueError("windows", f"must make layer {name!r} larger than 0 once")
         largest[name] = value
     return largest
+
+
+def _before_flatten(by_name: Mapping[str, Layer], name: str) -> str:
+    """The layer that computes the activations of another one, perhaps before its ReLU.
+
+    A flattened map cannot be an output of a network, but the map can.
+    """
+    source: str = name
+    while by_name[source]["op"] in ("relu", "flatten"):
+        (before,) = by_name[source]["inputs"]
+        if before not in by_name:  # the volume
+            return name
+        source = before
+    return source
 
 
 # -- layers ----------------------------------------------------------------------------------------
