@@ -5,6 +5,7 @@ ASYNC_TNT_FUZZ_CASES makes the random damage a long run: it was 2,000 files and 
 
 import copy
 import os
+import re
 import sys
 import time
 import warnings
@@ -516,8 +517,7 @@ def test_other_content(path, sound, change, message):
     change(sound)
     sound.close()
     before = time.monotonic()
-    with pytest.raises(AssertionError, match=message):
-        assert refusal_of_file(path) is None
+    assert re.search(message, refusal_of_file(path))
     assert time.monotonic() - before < 20.0
 
 
