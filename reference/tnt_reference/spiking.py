@@ -11,6 +11,10 @@ event, a neuron computes
     n  = the number of its spikes, which is its value
     v <- v - n v_threshold, or v_reset where n is 1        as `reset` says
 
+A neuron with a current i, cuba_lif or cuba_li, solves tau_syn di/dt = -i and
+tau_mem dv/dt = v_leak - v + r i for the time dt; then i <- i + (w_in dt_0 / tau_syn) s. A threshold
+is a neuron whose membrane is what arrives at this event alone.
+
 It has no spike up to its threshold. With the reset to a value it has one above. With the reset by
 subtraction it has as many as leave the membrane positive, and at most at its threshold:
 max(1, ceil(v / v_threshold) - 1), and one more where rounding leaves more than the threshold.
@@ -77,8 +81,9 @@ class SpikingNetwork:
         self._volume = tuple(volume)
         self._responses: dict[tuple[str, int, int, int], torch.Tensor] = {}
         self.membranes: dict[str, torch.Tensor] = {}
+        self._currents: dict[str, torch.Tensor] = {}
         self.spikes: dict[str, float] = {}
-        self.leaks = any("tau" in weights for weights in self._weights.values())
+        self.leaks = any("v_leak" in weights for weights in self._weights.values())
         self._rest()
 
     def _rest(self) -> None:
@@ -149,15 +154,26 @@ class SpikingNetwork:
         name = layer["name"]
         given = self._weights[name]
         w = {role: _as_map(values, arrived.shape) for role, values in given.items()}
+        if layer["op"] == "threshold":
+            fired = (arrived > w["threshold"]).double()
+            self.membranes[name] = torch.zeros_like(arrived)
+            self.spikes[name] = self.spikes.get(name, 0.0) + float(fired.sum())
+            return fired
         gain = w["r"]
         rest = w.get("v_leak", torch.zeros_like(arrived))
         v = self.membranes.get(name, rest.clone())
+        if "tau_syn" in w:
+            current = self._currents.get(name, torch.zeros_like(v))
+            if passed_us > 0.0:
+                v, current = _with_current(w, v, current, passed_us / MICROSECONDS)
+            self._currents[name] = current + w["w_in"] * layer["dt"] / w["tau_syn"] * arrived
+            gain = torch.zeros_like(v)
         if "tau" in w:
             gain = w["r"] * layer["dt"] / w["tau"]
             if passed_us > 0.0:
                 v = rest + (v - rest) * torch.exp(-passed_us / (w["tau"] * MICROSECONDS))
         v = v + gain * arrived
-        if layer["op"] == "li":
+        if layer["op"] in ("li", "cuba_li"):
             self.membranes[name] = v
             return torch.zeros_like(v)
         threshold = w["v_threshold"]
@@ -175,6 +191,30 @@ class SpikingNetwork:
         self.membranes[name] = v
         self.spikes[name] = self.spikes.get(name, 0.0) + float(n.sum())
         return n
+
+
+def _with_current(
+    w: Weights, v: torch.Tensor, current: torch.Tensor, seconds: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Membrane and current after some time: the solution of the two equations above.
+
+    With p = 1 / tau_mem and q = 1 / tau_syn, the current i adds r i p (e^-qt - e^-pt) / (p - q), or
+    r i p t e^-pt where both are equal.
+    """
+    p = 1.0 / w["tau_mem"]
+    q = 1.0 / w["tau_syn"]
+    membrane_leak = torch.exp(-p * seconds)
+    current_leak = torch.exp(-q * seconds)
+    difference = torch.where(p == q, torch.ones_like(p), p - q)
+    # e^-qt - e^-pt, without loss where p and q are close
+    unequal = -current_leak * torch.expm1(-(p - q) * seconds) / difference
+    unequal = torch.where(
+        p > q, unequal, membrane_leak * torch.expm1((p - q) * seconds) / difference
+    )
+    added = torch.where(p == q, seconds * membrane_leak, unequal)
+    rest = w["v_leak"]
+    v = rest + (v - rest) * membrane_leak + w["r"] * current * p * added
+    return v, current * current_leak
 
 
 def _as_map(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
@@ -214,7 +254,7 @@ def _scale(layer: Layer, weights: Weights, value: torch.Tensor) -> torch.Tensor:
     return value * _as_map(weights["scale"], value.shape)
 
 
-NEURONS = ("if", "lif", "li")
+NEURONS = ("if", "lif", "li", "cuba_lif", "cuba_li", "threshold")
 """Operations with a state."""
 
 LINEAR: dict[str, Callable[[Layer, Weights, torch.Tensor], torch.Tensor]] = {

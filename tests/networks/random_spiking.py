@@ -63,16 +63,26 @@ class _Builder:
         op = op or self.pick(self.ops)
         shape = self.shape(self.last)
         sizes = shape if self.chance() else shape[:1]
+        if op == "threshold":
+            self.add(op, tensors={"threshold": self.random.uniform(0.0, 0.8, sizes)})
+            return
         tensors = {"r": np.ones(sizes) if self.chance() else self.random.uniform(0.5, 2, sizes)}
         fields: dict[str, Any] = {}
         rest = np.zeros(sizes)
-        if op in ("lif", "li"):
+        if op not in ("if", "threshold"):
             fields["dt"] = self.pick([1e-4, 1e-3])
-            tensors["tau"] = self.random.uniform(1, 8, sizes) * fields["dt"]
-            tensors["r"] = tensors["r"] * tensors["tau"] / fields["dt"]
+            tau = self.random.uniform(1, 8, sizes) * fields["dt"]
             rest = self.pick([rest, self.random.uniform(-0.3, 0.1, sizes)])
             tensors["v_leak"] = rest
-        if op != "li":
+            if op in ("lif", "li"):
+                tensors["tau"] = tau
+                tensors["r"] = tensors["r"] * tau / fields["dt"]
+            else:
+                tensors["tau_mem"] = tau
+                factor = self.pick([np.ones(sizes), self.random.uniform(0.1, 3, sizes)])
+                tensors["tau_syn"] = tau * factor
+                tensors["w_in"] = self.random.uniform(0.5, 3, sizes) * factor * tau / fields["dt"]
+        if op not in ("li", "cuba_li"):
             fields["reset"] = self.pick(["subtract", "value"])
             tensors["v_threshold"] = self.pick([0.25, 0.5, 1.0]) * np.ones(sizes)
             if self.chance():
@@ -128,7 +138,8 @@ def random_spiking_model(
 ) -> Model:
     """A spiking model of `N_CLASSES` classes, or of raw outputs.
 
-    ops : the operations of its neurons. The last layer may be a leaky integrator if "lif" is one.
+    ops : the operations of its neurons. The last layer may be a leaky integrator if "lif" is one,
+        and is no threshold.
     """
     builder = _Builder(config, seed, ops)
     if builder.chance():
@@ -138,7 +149,9 @@ def random_spiking_model(
             builder.between()
         if builder.chance(0.8):
             builder.neurons()
-    last_op = "li" if "lif" in ops and builder.chance(0.2) else None
+    last_op = str(builder.pick([op for op in ops if op != "threshold"]))
+    if "lif" in ops and builder.chance(0.2):
+        last_op = "cuba_li" if "cuba_lif" in ops and builder.chance() else "li"
     if raw and builder.chance():
         builder.neurons(last_op)
     else:

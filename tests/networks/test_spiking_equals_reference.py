@@ -68,7 +68,10 @@ def compare_at_every_event(model, events, where):
     return reference
 
 
-@pytest.mark.parametrize("ops", [("if",), ("if", "lif")], ids="+".join)
+ALL = ("if", "lif", "cuba_lif", "threshold")
+
+
+@pytest.mark.parametrize("ops", [("if",), ("if", "lif"), ("cuba_lif",), ALL], ids="+".join)
 def test_spikes_and_membranes_at_every_event(ops):
     fired = 0
     for seed in range(CASES):

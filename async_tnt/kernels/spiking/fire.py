@@ -9,12 +9,21 @@ threshold h and, if the neuron leaks, the potential at rest l and the time const
     v <- v - n h                           reset by subtraction
 
 With a reset to a value r, a neuron with v > h has one spike, and v <- r.
+
+A neuron with a current I, its rate q, and the membrane's rate p, computes in dt since the last time
+
+    v <- l + (v - l) exp(-p dt) + R I p dt exp(-min(p, q) dt) f(|p - q| dt)
+    I <- I exp(-q dt) + g s
+
+with f(x) = (1 - exp(-x)) / x, which solves dv/dt = p (l - v + R I) and dI/dt = -q I. It may fire
+without an arrival, so it is watched while its current could raise it above its threshold.
 """
 
 import numpy as np
 
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.spiking import layout as L
+from async_tnt.kernels.spiking.spread import widen
 from async_tnt.kernels.spiking.vectors import BLOCK, charge
 
 
@@ -33,6 +42,8 @@ def fire(program, stage, params, state, now_us):
     box = program[stage + L.BOX]
     columns = program[stage + L.COLUMNS]
     width = program[stage + L.WIDTH]
+    if neurons == L.CURRENT_BASED:
+        _look_at_watched(program, stage, params, state, now_us)
     n = 0
     for y in range(ints[box], ints[box + 1]):
         for x in range(ints[box + 2], ints[box + 3]):
@@ -40,9 +51,15 @@ def fire(program, stage, params, state, now_us):
             if neurons == L.NONE:
                 n = _pass_on(program, stage, state, place * width, n)
                 continue
+            if neurons == L.CURRENT_BASED:
+                n = _fire_currents(program, stage, params, state, place, now_us, n)
+                continue
             if neurons == L.LEAKY:
                 _leak(program, stage, params, state, place, now_us)
             n = _fire_place(program, stage, params, state, place, n)
+            if neurons == L.STATELESS:
+                first = program[stage + L.MEMBRANES] + place * width
+                state[first : first + width] = 0.0
     ints[program[stage + L.N_ACTIVE]] = n
     if program[stage + L.COUNTS] >= 0:
         _count(program, stage, state, now_us)
@@ -115,6 +132,114 @@ def _fire_place(program, stage, params, state, place, n):
                 n += 1
             above >>= 1
             c += 1
+    return n
+
+
+@inlined
+def added_by_current(passed_us, rate, current_rate):
+    """How much a current of 1 adds to a membrane of the resistance 1 while this time passes."""
+    x = passed_us * abs(rate - current_rate)
+    share = 1.0
+    if x > 0.0:
+        share = -np.expm1(-x) / x
+    return passed_us * rate * np.exp(-passed_us * min(rate, current_rate)) * share
+
+
+@inlined
+def membrane_at(params, param, size, membrane, current, passed_us):
+    """A membrane with a current, after some time.
+
+    param : int. Where the neuron's first parameter lies.
+    """
+    rest = params[param + L.LEAK * size]
+    rate = params[param + L.RATE * size]
+    resistance = params[param + L.RESISTANCE * size]
+    added = added_by_current(passed_us, rate, params[param + L.CURRENT_RATE * size])
+    leaked = rest + (membrane - rest) * np.exp(-passed_us * rate)
+    return leaked + resistance * current * added
+
+
+@inlined
+def may_rise_above(params, param, size, membrane, current):
+    """Whether a current may raise its membrane above the threshold without an arrival."""
+    rest = params[param + L.LEAK * size]
+    highest = max(membrane, rest) + max(0.0, params[param + L.RESISTANCE * size] * current)
+    # a little more, because later membranes are rounded
+    return highest * (1.0 + 1e-12) > params[param + L.THRESHOLD * size]
+
+
+@inlined
+def _look_at_watched(program, stage, params, state, now_us):
+    """Widen the stage's box to watched neurons that are above their thresholds by now.
+
+    Neurons that their current cannot raise so far any more are no longer watched.
+    """
+    ints = state.view(np.int64)
+    size = program[stage + L.PARAMS_SIZE]
+    width = program[stage + L.WIDTH]
+    watched = program[stage + L.WATCHED]
+    columns = program[stage + L.COLUMNS]
+    n = ints[program[stage + L.N_WATCHED]]
+    k = 0
+    while k < n:
+        neuron = ints[watched + k]
+        place = neuron // width
+        param = params_of(program, stage, place) + neuron - place * width
+        passed_us = max(0.0, now_us - state[program[stage + L.TIMES] + place])
+        current = state[program[stage + L.CURRENTS] + neuron]
+        membrane = state[program[stage + L.MEMBRANES] + neuron]
+        if passed_us > 0.0:
+            membrane = membrane_at(params, param, size, membrane, current, passed_us)
+            current *= np.exp(-passed_us * params[param + L.CURRENT_RATE * size])
+        if membrane > params[param + L.THRESHOLD * size]:
+            y = place // columns
+            x = place % columns
+            widen(ints, program[stage + L.BOX], y, y, x, x)
+            k += 1
+        elif may_rise_above(params, param, size, membrane, current):
+            k += 1
+        else:
+            n -= 1
+            ints[watched + k] = ints[watched + n]
+            ints[program[stage + L.IS_WATCHED] + neuron] = 0
+    ints[program[stage + L.N_WATCHED]] = n
+
+
+@inlined
+def _fire_currents(program, stage, params, state, place, now_us, n):
+    """`_fire_place` for neurons with currents, after they have leaked up to now."""
+    ints = state.view(np.int64)
+    size = program[stage + L.PARAMS_SIZE]
+    first_param = params_of(program, stage, place)
+    first = place * program[stage + L.WIDTH]
+    time = program[stage + L.TIMES] + place
+    passed_us = max(0.0, now_us - state[time])
+    state[time] += passed_us
+    for c in range(program[stage + L.CHANNELS]):
+        neuron = first + c
+        param = first_param + c
+        at_membrane = program[stage + L.MEMBRANES] + neuron
+        at_current = program[stage + L.CURRENTS] + neuron
+        at_sum = program[stage + L.SUMS] + neuron
+        membrane = state[at_membrane]
+        current = state[at_current]
+        if passed_us > 0.0:
+            membrane = membrane_at(params, param, size, membrane, current, passed_us)
+            current *= np.exp(-passed_us * params[param + L.CURRENT_RATE * size])
+        current += params[param + L.GAIN * size] * state[at_sum]
+        state[at_sum] = 0.0
+        state[at_current] = current
+        state[at_membrane] = membrane
+        if membrane > params[param + L.THRESHOLD * size]:
+            _spike(program, stage, params, state, neuron, param, n)
+            n += 1
+        is_watched = program[stage + L.IS_WATCHED] + neuron
+        may_rise = may_rise_above(params, param, size, state[at_membrane], current)
+        if may_rise and ints[is_watched] == 0:
+            ints[is_watched] = 1
+            n_watched = program[stage + L.N_WATCHED]
+            ints[program[stage + L.WATCHED] + ints[n_watched]] = neuron
+            ints[n_watched] += 1
     return n
 
 

@@ -30,7 +30,7 @@ CHANNEL_OF_ON = 2
 FIRST_STAGE = 4
 
 # program: a stage
-STAGE_SIZE = 24
+STAGE_SIZE = 28
 LINKS = 0  # where its links begin in the program
 N_LINKS = 1
 CHANNELS = 2
@@ -42,7 +42,7 @@ SUMS = 7  # in the state
 LIST = 8  # in the state: the indices of what goes on, in increasing order
 VALUES = 9  # in the state: their values
 MEMBRANES = 10  # in the state
-CURRENTS = 11  # in the state: synaptic currents
+CURRENTS = 11  # in the state: synaptic currents, of neurons that have them
 TIMES = 12  # in the state: of each place, the time up to which its neurons are computed
 COUNTS = 13  # in the state: spikes of each neuron in the window; -1: they are not counted
 FIRST_US = 14  # in the state: time of each neuron's first spike in the window, or -1
@@ -54,6 +54,10 @@ BOX = 18  # four numbers: first row, row behind the last one, the same of column
 N_SPIKES = 19  # in the state: spikes of the window
 N_ADDED = 20  # in the state: additions of weights in the window
 WIDTH = 21  # numbers of a place: CHANNELS, filled up to whole blocks
+# in the state: the neurons whose current may raise them above their threshold by itself
+WATCHED = 22  # the list
+N_WATCHED = 23  # its length
+IS_WATCHED = 24  # of each neuron, whether it is on the list
 
 # program: a link
 LINK_SIZE = 16
@@ -81,18 +85,22 @@ COPIED = 4  # each number as it is
 NONE = 0  # the sums go on as they are
 INTEGRATE = 1
 LEAKY = 2
+CURRENT_BASED = 3  # leaky, and what arrives is added to a current that leaks, too
+STATELESS = 4  # only what arrives at this event counts
 
 # ways of reset
 SUBTRACT = 0
 TO_VALUE = 1
 
 # the parameters of neurons, in rows of PARAMS_SIZE
-GAIN = 0
+GAIN = 0  # what arrives counts so much
 THRESHOLD = 1
 RESET_TO = 2
 LEAK = 3  # the membrane at rest
-RATE = 4  # 1 / time constant, in 1 / microseconds
-N_PARAMS = 5
+RATE = 4  # 1 / time constant of the membrane, in 1 / microseconds
+CURRENT_RATE = 5  # the same of the current
+RESISTANCE = 6  # what a current counts for the membrane
+N_PARAMS = 7
 
 MOST_SPIKES = float(1 << 31)
 """From this many spikes of a neuron at once, its membrane is 0 afterwards."""

@@ -125,26 +125,22 @@ class SpikingVolume(TNTVolume):
         program, _, params, _, _ = self.network.program
         record = program[memory.stage : memory.stage + L.STAGE_SIZE]
         membranes = self._as_layer(memory, memory.membranes)
-        if record[L.NEURONS] != L.LEAKY:
+        if record[L.NEURONS] not in (L.LEAKY, L.CURRENT_BASED):
             return membranes
         n_channels, rows, columns = memory.map_shape
         first = int(record[L.TIMES])
         times = self._state[first : first + rows * columns].reshape(rows, columns)
         _, time_us, _ = self.moment()
         passed_us = np.maximum(0.0, time_us - times)
-        size = int(record[L.PARAMS_SIZE])
-        first = int(record[L.PARAMS])
-        values = params[first : first + L.N_PARAMS * size].reshape(
-            L.N_PARAMS, -1, width_of(n_channels)
-        )
-        shape = (L.N_PARAMS, rows, columns, width_of(n_channels))
-        values = np.broadcast_to(
-            values.reshape(L.N_PARAMS, *(shape[1:3] if values.shape[1] > 1 else (1, 1)), -1), shape
-        )
-        by_channel = values[..., :n_channels].transpose(0, 3, 1, 2)
+        of_neurons = _params_of(params, record, memory.map_shape)
         stored = membranes.reshape(memory.map_shape)
-        rest = by_channel[L.LEAK]
-        leaked = rest + (stored - rest) * np.exp(-passed_us * by_channel[L.RATE])
+        rest = of_neurons[L.LEAK]
+        rate = of_neurons[L.RATE]
+        leaked = rest + (stored - rest) * np.exp(-passed_us * rate)
+        if record[L.NEURONS] == L.CURRENT_BASED:
+            currents = self._as_layer(memory, int(record[L.CURRENTS])).reshape(stored.shape)
+            added = _added_by_current(passed_us, rate, of_neurons[L.CURRENT_RATE])
+            leaked = leaked + of_neurons[L.RESISTANCE] * currents * added
         now: np.ndarray = np.where(passed_us > 0.0, leaked, stored)
         return now.reshape(memory.shape)
 
@@ -163,3 +159,27 @@ class SpikingVolume(TNTVolume):
         stored = self._state[first : first + rows * columns * width].reshape(rows, columns, width)
         own: np.ndarray = stored[..., :n_channels].transpose(2, 0, 1).reshape(memory.shape).copy()
         return own
+
+
+def _params_of(params: np.ndarray, record: np.ndarray, map_shape: tuple[int, ...]) -> np.ndarray:
+    """The parameters of a stage's neurons: float64, (N_PARAMS, C, H, W)."""
+    n_channels, rows, columns = map_shape
+    width = width_of(n_channels)
+    first = int(record[L.PARAMS])
+    size = int(record[L.PARAMS_SIZE])
+    values = params[first : first + L.N_PARAMS * size]
+    sides = (rows, columns) if size > width else (1, 1)
+    by_place = values.reshape(L.N_PARAMS, *sides, width)[..., :n_channels]
+    return np.broadcast_to(by_place.transpose(0, 3, 1, 2), (L.N_PARAMS, *map_shape))
+
+
+def _added_by_current(
+    passed_us: np.ndarray, rate: np.ndarray, current_rate: np.ndarray
+) -> np.ndarray:
+    """`added_by_current` of the kernels, for arrays."""
+    x = passed_us * np.abs(rate - current_rate)
+    share = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
+    added: np.ndarray = (
+        passed_us * rate * np.exp(-passed_us * np.minimum(rate, current_rate)) * share
+    )
+    return added

@@ -12,7 +12,7 @@ from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import VOLUME
 from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.nir.graph import Graph, Node, in_order
-from async_tnt.networks.spiking.operations import FIRING, RESETS
+from async_tnt.networks.spiking.operations import CURRENT_ROLES, FIRING, OUTPUTS, RESETS
 from async_tnt.volume.config import TNTConfig
 
 Reset = Literal["subtract", "value"]
@@ -21,7 +21,7 @@ PolarityOrder = Literal["off_first", "on_first"]
 
 ORDERS = get_args(PolarityOrder)
 
-LEAKY = ("LIF", "LI")
+LEAKY = ("LIF", "LI", "CubaLIF", "CubaLI")
 """Nodes whose input counts by the time step of the program that trained them."""
 
 
@@ -69,7 +69,7 @@ def _check_meaning(graph: Graph, meaning: Meaning) -> None:
         raise ParameterValueError(
             "polarity", f"must be {' or '.join(ORDERS)}", short(meaning.polarity)
         )
-    if meaning.reset is None and kinds & {"IF", "LIF"}:
+    if meaning.reset is None and kinds & {"IF", "LIF", "CubaLIF"}:
         rule = (
             f"must be {' or '.join(RESETS)}: NIR leaves open how a neuron is reset. sinabs, and "
             "snnTorch by default, subtract the threshold; Norse resets to v_reset"
@@ -187,10 +187,10 @@ class _Reader:
             if layer["name"] in needed:
                 needed.update(layer["inputs"])
                 kept.insert(0, layer)
-        if not kept or kept[-1]["op"] not in (*FIRING, "li"):
+        if not kept or kept[-1]["op"] not in OUTPUTS:
             raise NotImplementedError(
-                "the graph's last node must be of neurons (IF, LIF or LI), as other values are "
-                "there only while an event passes"
+                "the graph's last node must be of neurons (IF, LIF, CubaLIF, LI or CubaLI), as "
+                "other values are there only while an event passes"
             )
         tensors = {name for layer in kept for name in layer.get("weights", {}).values()}
         weights = {name: values for name, values in self.weights.items() if name in tensors}
@@ -315,6 +315,10 @@ def _scale(reader: _Reader, node: Node) -> dict[str, Any]:
     return {"op": "scale", "tensors": {"scale": _floats(node, "scale")}}
 
 
+def _threshold(reader: _Reader, node: Node) -> dict[str, Any]:
+    return {"op": "threshold", "tensors": {"threshold": _floats(node, "threshold")}}
+
+
 def _neurons(op: str, *roles: str) -> Rule:
     def rule(reader: _Reader, node: Node) -> dict[str, Any]:
         tensors = {role: _floats(node, role) for role in roles}
@@ -324,7 +328,7 @@ def _neurons(op: str, *roles: str) -> Rule:
             reset_to = _floats(node, "v_reset") if "v_reset" in node.fields else np.zeros(0)
             if reset_to.any():  # without it, it is 0
                 tensors["v_reset"] = reset_to
-        if "tau" in roles:
+        if "v_leak" in roles:
             assert reader.meaning.dt is not None
             layer["dt"] = float(reader.meaning.dt)
         return layer
@@ -345,6 +349,9 @@ RULES: dict[str, Rule] = {
     "Scale": _scale,
     "IF": _neurons("if", "r", "v_threshold"),
     "LIF": _neurons("lif", "tau", "r", "v_leak", "v_threshold"),
+    "CubaLIF": _neurons("cuba_lif", *CURRENT_ROLES, "v_threshold"),
     "LI": _neurons("li", "tau", "r", "v_leak"),
+    "CubaLI": _neurons("cuba_li", *CURRENT_ROLES),
+    "Threshold": _threshold,
 }
 """Type of a node -> its rule."""

@@ -21,6 +21,16 @@ ON_FIRST = [0, 1]
 
 OFF_FIRST = [1, 0]
 
+KIND_OF_NEURONS = {
+    "if": "IF",
+    "lif": "LIF",
+    "cuba_lif": "CubaLIF",
+    "threshold": "Threshold",
+    "li": "LI",
+    "cuba_li": "CubaLI",
+}
+"""Operation of neurons -> the type of its node."""
+
 
 def nir_from_layers(
     layers: Sequence[Layer],
@@ -213,7 +223,8 @@ class _Nodes:
             return "Linear", {"weight": tensors["weight"]}
         if op == "scale":
             return "Scale", {"scale": tensors["scale"]}
-        return op.upper(), _of_one_shape(tensors, source)  # the roles of neurons are NIR's names
+        # the roles of neurons are the names of NIR's fields
+        return KIND_OF_NEURONS[op], _of_one_shape(tensors, source)
 
 
 def _of_one_shape(tensors: dict[str, np.ndarray], shape: Shape) -> dict[str, np.ndarray]:

@@ -47,6 +47,9 @@ def _neuron_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) 
     return source
 
 
+CURRENT_ROLES = {"tau_mem": True, "tau_syn": True, "r": True, "v_leak": True, "w_in": True}
+"""The roles of weights of neurons with a current."""
+
 NEURONS = (
     Operation(
         name="if",
@@ -65,17 +68,48 @@ NEURONS = (
         flat_maps="kept",
     ),
     Operation(
+        name="cuba_lif",
+        description=(
+            "As lif; its input counts w_in dt / tau_syn for a current, which leaks, and which "
+            "counts r for v."
+        ),
+        parameters={"reset": RESET, "dt": DT},
+        roles=CURRENT_ROLES | {"v_threshold": True, "v_reset": False},
+        shape=_neuron_shape,
+        flat_maps="kept",
+    ),
+    Operation(
+        name="threshold",
+        description="Fires once where its input at one event is above the threshold.",
+        roles={"threshold": True},
+        shape=_neuron_shape,
+        flat_maps="kept",
+    ),
+    Operation(
         name="li",
         description="A leaky integrator: as lif, but it never fires. It is a network's output.",
         parameters={"dt": DT},
         roles={"tau": True, "r": True, "v_leak": True},
         shape=_neuron_shape,
     ),
+    Operation(
+        name="cuba_li",
+        description="A leaky integrator with a current: as cuba_lif, but it never fires.",
+        parameters={"dt": DT},
+        roles=CURRENT_ROLES,
+        shape=_neuron_shape,
+    ),
 )
 """Layers with a state. Each has weights for each neuron, or for each channel."""
 
-FIRING = ("if", "lif")
-"""Neurons that fire."""
+FIRING = ("if", "lif", "cuba_lif")
+"""Neurons that fire, and are reset then."""
+
+INTEGRATORS = ("li", "cuba_li")
+"""Neurons that never fire."""
+
+OUTPUTS = (*FIRING, *INTEGRATORS)
+"""Neurons that may be the last layer."""
 
 SCALE = Operation(
     name="scale",
@@ -103,7 +137,15 @@ def check_spiking_values(layers: Sequence[Layer], weights: Mapping[str, np.ndarr
     ------
     ValueError : the message names the layer and the value.
     """
+    readers = [name for layer in layers for name in layer["inputs"]]
+    picks = [layer["name"] for layer in layers if layer["op"] == "pick"]
+    if picks and readers.count("volume") > 1:
+        raise ValueError(f"layer {picks[0]!r} (pick) must be the only one that reads the events")
     for layer in layers:
+        if layer["op"] in INTEGRATORS and layer["name"] in readers:
+            raise ValueError(
+                f"layer {layer['name']!r} ({layer['op']}) must be the last one, as it never fires"
+            )
         tensors = {role: weights[name] for role, name in layer.get("weights", {}).items()}
         try:
             _check_layer(layer, tensors)
@@ -118,10 +160,15 @@ def _check_layer(layer: Layer, tensors: Mapping[str, np.ndarray]) -> None:
             f"its bias must be 0, got up to {largest:.3g}: a constant current has no meaning at "
             "an event"
         )
-    if layer["op"] == "pick" and layer["inputs"] != ["volume"]:
-        raise ValueError("it must read the events")
-    if "tau" in tensors and not (tensors["tau"] > 0).all():
-        raise ValueError(f"tau must be positive, got {float(tensors['tau'].min()):.3g}")
+    if layer["op"] == "pick" and (
+        layer["inputs"] != ["volume"] or sorted(layer["channels"]) != [0, 1]
+    ):
+        raise ValueError("it must read the events, and exchange or keep their channels [0, 1]")
+    for role in ("tau", "tau_mem", "tau_syn"):
+        if role in tensors and not (tensors[role] > 0).all():
+            raise ValueError(f"{role} must be positive, got {float(tensors[role].min()):.3g}")
+    if layer["op"] == "threshold" and (tensors["threshold"] < 0).any():
+        raise ValueError("threshold must not be negative, as it would fire without input")
     if layer["op"] not in FIRING:
         return
 

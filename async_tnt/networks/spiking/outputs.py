@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.spiking.operations import FIRING
+from async_tnt.networks.spiking.operations import OUTPUTS as ENDS
 from async_tnt.volume.config import TNTConfig
 
 SPIKES = "spikes"
@@ -38,7 +39,7 @@ def check_spiking_outputs(
     ------
     ValueError : see above.
     """
-    if layers[-1]["op"] not in (*FIRING, "li"):
+    if layers[-1]["op"] not in ENDS:
         raise ValueError("the last layer of a spiking network must be of neurons")
     expected = outputs_of(layers)
     if outputs and dict(outputs) != expected:

@@ -29,6 +29,16 @@ from async_tnt.networks.spiking.operations import (
 
 US_PER_S = 1e6
 
+KINDS = {
+    "if": L.INTEGRATE,
+    "lif": L.LEAKY,
+    "li": L.LEAKY,
+    "cuba_lif": L.CURRENT_BASED,
+    "cuba_li": L.CURRENT_BASED,
+    "threshold": L.STATELESS,
+}
+"""Operation of neurons -> its kind in kernels."""
+
 IS_NEURON = {operation.name for operation in NEURONS}
 
 IS_LINEAR = {*LINEAR, SCALE.name}
@@ -156,8 +166,8 @@ class _Maker:
             stage = _Stage(self._stages[source].map_shape, [_Link(source, L.COPIED)])
         else:
             stage = _Stage(_as_map(self._shapes[read]), self._links_of(self._layers[read]))
-        stage.neurons = L.INTEGRATE if layer["op"] == "if" else L.LEAKY
-        stage.reset = L.SUBTRACT if layer.get("reset", SUBTRACT) == SUBTRACT else L.TO_VALUE
+        stage.neurons = KINDS[layer["op"]]
+        stage.reset = L.SUBTRACT if layer.get("reset") == SUBTRACT else L.TO_VALUE
         stage.params = self._params_of(layer, stage.map_shape)
         self._add_stage(layer["name"], stage)
 
@@ -172,13 +182,19 @@ class _Maker:
             role: _spread_over(self._tensors[name], map_shape)
             for role, name in layer["weights"].items()
         }
-        rows[L.GAIN] = values["r"]
-        rows[L.THRESHOLD] = values.get("v_threshold", np.inf)
+        rows[L.GAIN] = values.get("r", 1.0)
+        rows[L.THRESHOLD] = values.get("v_threshold", values.get("threshold", np.inf))
         rows[L.RESET_TO] = values.get("v_reset", 0.0)
         if "tau" in values:
             rows[L.GAIN] = values["r"] * layer["dt"] / values["tau"]
             rows[L.LEAK] = values["v_leak"]
             rows[L.RATE] = 1.0 / (values["tau"] * US_PER_S)
+        if "tau_syn" in values:
+            rows[L.GAIN] = values["w_in"] * layer["dt"] / values["tau_syn"]
+            rows[L.LEAK] = values["v_leak"]
+            rows[L.RATE] = 1.0 / (values["tau_mem"] * US_PER_S)
+            rows[L.CURRENT_RATE] = 1.0 / (values["tau_syn"] * US_PER_S)
+            rows[L.RESISTANCE] = values["r"]
         first_place = rows[:, :, :1, :1]
         if (rows == first_place).all():
             rows = first_place
@@ -295,6 +311,11 @@ class _Arrays:
         record[L.N_SPIKES] = self._room(1)
         record[L.N_ADDED] = self._room(1)
         record[[L.MEMBRANES, L.CURRENTS, L.TIMES, L.COUNTS, L.FIRST_US]] = -1
+        record[[L.WATCHED, L.N_WATCHED, L.IS_WATCHED]] = -1
+        if stage.neurons == L.CURRENT_BASED:
+            for slot in (L.CURRENTS, L.WATCHED, L.IS_WATCHED):
+                record[slot] = self._room(n)
+            record[L.N_WATCHED] = self._room(1)
         if stage.neurons != L.NONE:
             record[L.MEMBRANES] = self._room(n)
             record[L.TIMES] = self._room(rows * columns)

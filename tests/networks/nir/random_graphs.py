@@ -7,7 +7,17 @@ from typing import Any
 import nir
 import numpy as np
 
-MAP_NODES = ("Conv2d", "SumPool2d", "AvgPool2d", "Scale", "IF", "LIF", "add")
+MAP_NODES = (
+    "Conv2d",
+    "SumPool2d",
+    "AvgPool2d",
+    "Scale",
+    "IF",
+    "LIF",
+    "CubaLIF",
+    "Threshold",
+    "add",
+)
 
 
 class RandomGraph:
@@ -31,7 +41,7 @@ class RandomGraph:
             self._add_to_map(str(rng.choice(MAP_NODES)))
         if rng.integers(2):
             self._add_dense()
-        self._add_neurons(str(rng.choice(["IF", "LIF", "LI"])))
+        self._add_neurons(str(rng.choice(["IF", "LIF", "CubaLIF", "LI", "CubaLI"])))
         self._add("output", nir.Output(np.array(self._shape)), self._name)
         self.graph = nir.NIRGraph(self._nodes, self._edges, type_check=False)
         self.meaning = {
@@ -126,6 +136,16 @@ class RandomGraph:
             tau = self._positive(*shape)
             leak = -self._positive(*shape)
             node = nir.LIF(tau, gain, leak, threshold, self._reset_to(shape))
+        elif kind == "CubaLIF":
+            taus = self._positive(*shape), self._positive(*shape)
+            reset_to = self._reset_to(shape)
+            leak = -self._positive(*shape)
+            node = nir.CubaLIF(*taus, gain, leak, threshold, reset_to, self._floats(*shape))
+        elif kind == "CubaLI":
+            taus = self._positive(*shape), self._positive(*shape)
+            node = nir.CubaLI(*taus, gain, self._floats(*shape), self._floats(*shape))
+        elif kind == "Threshold":
+            node = nir.Threshold(threshold)
         else:
             node = nir.LI(self._positive(*shape), gain, self._floats(*shape))
         self._name = self._add(kind.lower(), node, self._name)

@@ -29,7 +29,7 @@ MEANING = {"reset": "subtract", "dt": 1e-3}
 
 
 def small_graph() -> nir.NIRGraph:
-    """A graph with a node of each kind that is read."""
+    """A graph with nodes of many kinds."""
     rng = np.random.default_rng(0)
 
     def ones(*shape):
