@@ -207,10 +207,9 @@ def _with_current(
     current_leak = torch.exp(-q * seconds)
     difference = torch.where(p == q, torch.ones_like(p), p - q)
     # e^-qt - e^-pt, without loss where p and q are close
-    unequal = -current_leak * torch.expm1(-(p - q) * seconds) / difference
-    unequal = torch.where(
-        p > q, unequal, membrane_leak * torch.expm1((p - q) * seconds) / difference
-    )
+    for_larger_p = -current_leak * torch.expm1(-(p - q) * seconds) / difference
+    for_larger_q = membrane_leak * torch.expm1((p - q) * seconds) / difference
+    unequal = torch.where(p > q, for_larger_p, for_larger_q)
     added = torch.where(p == q, seconds * membrane_leak, unequal)
     rest = w["v_leak"]
     v = rest + (v - rest) * membrane_leak + w["r"] * current * p * added

@@ -127,7 +127,7 @@ class SpikingVolume(TNTVolume):
         membranes = self._as_layer(memory, memory.membranes)
         if record[L.NEURONS] not in (L.LEAKY, L.CURRENT_BASED):
             return membranes
-        n_channels, rows, columns = memory.map_shape
+        _, rows, columns = memory.map_shape
         first = int(record[L.TIMES])
         times = self._state[first : first + rows * columns].reshape(rows, columns)
         _, time_us, _ = self.moment()
@@ -179,7 +179,6 @@ def _added_by_current(
     """`added_by_current` of the kernels, for arrays."""
     x = passed_us * np.abs(rate - current_rate)
     share = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
-    added: np.ndarray = (
-        passed_us * rate * np.exp(-passed_us * np.minimum(rate, current_rate)) * share
-    )
+    slower_leak = np.exp(-passed_us * np.minimum(rate, current_rate))
+    added: np.ndarray = passed_us * rate * slower_leak * share
     return added
