@@ -6,6 +6,8 @@
     OnnxClassifier       any ONNX network, run by onnxruntime
     TorchClassifier      any torch module, TorchScript or exported program
     to_onnx              a Model's classifier as an ONNX network
+    to_nir               a spiking Model's network as a NIR graph
+    spiking_from_rates   a spiking Model of a trained network of ReLUs
 
 A `Processor(config, classifier=...)` takes the two other classifiers. onnx, onnxruntime (extra
 `onnx`) and torch are imported only when they are needed.
@@ -15,6 +17,8 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.nir_export import to_nir
+from async_tnt.networks.models.rate_conversion import spiking_from_rates
 from async_tnt.networks.models.torch_modules import TorchClassifier
 from async_tnt.networks.onnx.export import to_onnx
 from async_tnt.networks.onnx.network import OnnxClassifier
@@ -28,5 +32,7 @@ __all__ = [
     "TorchClassifier",
     "bundled_models",
     "load_model",
+    "spiking_from_rates",
+    "to_nir",
     "to_onnx",
 ]

@@ -251,6 +251,7 @@ class Model:
         ImportError : h5py is not installed.
         TypeError : the graph leaves `reset` or `dt` open, and it was not passed.
         NotImplementedError : nodes have no meaning at an event, and the message names them.
+        OSError : there is no such file, or it cannot be opened.
         ValueError : the file is damaged, or the graph does not fit together.
 
         References

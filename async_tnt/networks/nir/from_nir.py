@@ -13,6 +13,7 @@ from async_tnt.networks.layers.graph import VOLUME
 from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.nir.graph import Graph, Node, in_order
 from async_tnt.networks.spiking.operations import CURRENT_ROLES, FIRING, OUTPUTS, RESETS
+from async_tnt.volume.config import TNTConfig
 
 Reset = Literal["subtract", "value"]
 
@@ -117,9 +118,7 @@ class _Reader:
                 return
             rule = RULES.get(node.kind)
             if rule is None:
-                raise RefusedError(
-                    node.kind, f"node {node.name!r} ({node.kind}) has no meaning here"
-                )
+                raise RefusedError(node.kind, f"{_title(node)} has no meaning here")
             layer = rule(self, node)
             self._value_of[node.name] = self.add(node.name, [value], layer)
         except RefusedError as error:
@@ -127,8 +126,7 @@ class _Reader:
             self._value_of[node.name] = VOLUME  # so that later nodes are read, too
         except (NotImplementedError, ValueError) as error:
             if not self._refused:
-                name = f"node {node.name!r} ({node.kind})"
-                raise type(error)(f"{name}: {error}") from None
+                raise type(error)(f"{_title(node)}: {error}") from None
             self._value_of[node.name] = VOLUME
 
     def add(self, name: str, inputs: list[str], layer: dict[str, Any]) -> str:
@@ -152,14 +150,23 @@ class _Reader:
 
     def _input(self, node: Node) -> str:
         """The events, in the order of the input's channels."""
-        shape = [int(side) for side in np.atleast_1d(_array(node, "shape")).tolist()]
-        if len(shape) != 3 or shape[0] not in (1, 2) or self._sensor is not None:
+        sides = np.atleast_1d(_array(node, "shape")).tolist()
+        is_of_events = len(sides) == 3 and sides[0] in (1, 2) and np.isfinite(sides).all()
+        if not is_of_events or self._sensor is not None:
             raise RefusedError(
                 "Input",
-                f"node {node.name!r} (Input) must be the only one, with a shape (1 or 2, H, W): "
-                f"polarity, row and column of an event; got {tuple(shape)}",
+                f"{_title(node)} must be the only one, with a shape (1 or 2, H, W): "
+                f"polarity, row and column of an event; got {short(tuple(sides))}",
             )
-        self._sensor = shape[2], shape[1]
+        if any(side != np.floor(side) for side in sides):
+            raise ValueError(f"its shape must be whole numbers, got {short(tuple(sides))}")
+        shape = [int(side) for side in sides]
+        sensor = shape[2], shape[1]
+        try:
+            TNTConfig(sensor=sensor, grid=sensor, representation="count")
+        except ParameterValueError as error:  # it is about the file, not about a parameter
+            raise ValueError(f"its shape (1 or 2, H, W): {error}") from None
+        self._sensor = sensor
         if shape[0] == 1:
             ones = np.ones((1, 2, 1, 1), np.float32)
             return self.add(
@@ -190,6 +197,12 @@ class _Reader:
         return SpikingLayers(kept, weights, self._sensor)
 
 
+def _title(node: Node) -> str:
+    """A node in a message: its name and its type."""
+    kind = node.kind if node.kind.isidentifier() else short(node.kind)
+    return f"node {short(node.name)} ({kind})"
+
+
 # -- fields of nodes -------------------------------------------------------------------------------
 
 
@@ -197,9 +210,12 @@ def _array(node: Node, name: str) -> np.ndarray:
     """A field as an array of numbers."""
     if name not in node.fields:
         raise ValueError(f"it has no field {name!r}")
-    values = np.asarray(node.fields[name])
+    try:
+        values = np.asarray(node.fields[name])
+    except ValueError:  # lists of different lengths
+        raise ValueError(f"{name} must be numbers, got {short(node.fields[name])}") from None
     if values.dtype.kind not in "fiu":
-        raise ValueError(f"{name} must be numbers, got {values.dtype}")
+        raise ValueError(f"{name} must be numbers, got {short(node.fields[name])}")
     return values
 
 
@@ -212,7 +228,8 @@ def _floats(node: Node, name: str) -> np.ndarray:
 def _whole(node: Node, name: str, n: int = 2) -> list[int]:
     """A field of n whole numbers; one number counts for all."""
     values = _array(node, name)
-    if values.size not in (1, n) or (values != np.floor(values)).any():
+    is_whole = np.isfinite(values) & (values == np.floor(values))
+    if values.size not in (1, n) or not is_whole.all():
         raise ValueError(f"{name} must be {n} whole numbers, got {short(values.tolist())}")
     return [int(value) for value in np.broadcast_to(values.reshape(-1), (n,))]
 
@@ -251,6 +268,8 @@ def _conv(reader: _Reader, node: Node) -> dict[str, Any]:
 def _padding(node: Node, kernel: list[int], dilation: list[int]) -> list[int]:
     """The padding [top, left, bottom, right], which may be "same" or "valid" in NIR."""
     padding = node.fields.get("padding")
+    if isinstance(padding, bytes):  # as files hold texts
+        padding = padding.decode("utf-8", "replace")
     if isinstance(padding, str):
         if padding == "valid":
             return [0, 0, 0, 0]
@@ -306,8 +325,9 @@ def _neurons(op: str, *roles: str) -> Rule:
         layer: dict[str, Any] = {"op": op, "tensors": tensors}
         if op in FIRING:
             layer["reset"] = reader.meaning.reset
-            if "v_reset" in node.fields:
-                tensors["v_reset"] = _floats(node, "v_reset")
+            reset_to = _floats(node, "v_reset") if "v_reset" in node.fields else np.zeros(0)
+            if reset_to.any():  # without it, it is 0
+                tensors["v_reset"] = reset_to
         if "v_leak" in roles:
             assert reader.meaning.dt is not None
             layer["dt"] = float(reader.meaning.dt)

@@ -1,12 +1,10 @@
 """A NIR graph as plain data: nodes with their arrays, and edges.
 
-The graph comes from a file (HDF5) or from the library `nir`. Nothing of a file is trusted: every
-size is checked before its numbers are read, and links to other files are refused.
+The graph comes from a file (HDF5) or from the library `nir`. Nothing of a file is trusted.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt.base.extras import needs_extra
+from async_tnt.base.hdf5_content import read_hdf5
 from async_tnt.base.messages import one_line, short
 
 MOST_NODES = 10_000
@@ -21,9 +20,6 @@ MOST_NODES = 10_000
 
 MOST_EDGES = 100_000
 """The most edges of a graph."""
-
-MAX_NUMBERS = 1 << 26
-"""The most numbers in a file: as float64 they take half a gigabyte."""
 
 DEEPEST = 8
 """How deep graphs may lie in graphs."""
@@ -59,78 +55,23 @@ def read_graph(path: Path) -> Graph:
     Raises
     ------
     ImportError : h5py is not installed.
+    OSError : there is no such file, or it cannot be opened.
     ValueError : the file is damaged, or no NIR graph, or too large.
     """
     with needs_extra("nir", "NIR graphs are read by h5py"):
-        import h5py
+        import h5py  # noqa: F401  # a worker process imports it, where nobody would see the error
     try:
-        with h5py.File(path, "r") as file:
-            if not isinstance(_entry(file, "node"), h5py.Group):
-                raise ValueError("it has no graph")
-            content = _Content()
-            fields = content.read(file["node"], 0)
-        return graph_of(fields)
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        return graph_of(read_hdf5(path, "node"))
+    except ValueError as error:
         raise ValueError(f"{path} is not a readable NIR graph: {one_line(error)}") from None
-
-
-def _entry(group: Any, name: str) -> Any:
-    """An entry of an HDF5 group, which must not be a link to somewhere else."""
-    import h5py
-
-    link = group.get(name, getlink=True)
-    if link is not None and not isinstance(link, h5py.HardLink):
-        raise ValueError(f"{short(name)} is a link to somewhere else")
-    return group.get(name)
-
-
-class _Content:
-    """The fields of a file, read with limits."""
-
-    def __init__(self) -> None:
-        self._n_numbers = 0
-        self._n_entries = 0
-
-    def read(self, group: Any, depth: int) -> dict[str, Any]:
-        """The fields of an HDF5 group."""
-        import h5py
-
-        # a graph has two groups, nodes in it, and one of each node
-        if depth > 3 * DEEPEST:
-            raise ValueError(f"graphs lie in graphs more than {DEEPEST} deep")
-        fields: dict[str, Any] = {}
-        for name in group:
-            self._n_entries += 1
-            if self._n_entries > 20 * MOST_NODES:
-                raise ValueError(f"it has more than {MOST_NODES:_} nodes")
-            entry = _entry(group, name)
-            if isinstance(entry, h5py.Group):
-                fields[name] = self.read(entry, depth + 1)
-            elif isinstance(entry, h5py.Dataset):
-                fields[name] = self._values(name, entry)
-            else:
-                raise ValueError(f"{short(name)} is neither a group nor a data set")
-        return fields
-
-    def _values(self, name: str, dataset: Any) -> Any:
-        """The values of a data set."""
-        if dataset.is_virtual or dataset.external:
-            raise ValueError(f"{short(name)} lies in another file")
-        if dataset.shape is None:
-            raise ValueError(f"{short(name)} is empty")
-        size = math.prod(dataset.shape)
-        self._n_numbers += size * max(1, dataset.dtype.itemsize // 8)
-        if self._n_numbers > MAX_NUMBERS:
-            raise ValueError(f"it has more than {MAX_NUMBERS:_} numbers")
-        values = dataset[()]
-        if isinstance(values, bytes):
-            return _text(values)
-        return values
 
 
 def _text(value: Any) -> str:
     """A text, which files hold as bytes."""
-    text = value.decode("utf-8") if isinstance(value, bytes) else value
+    try:
+        text = value.decode("utf-8") if isinstance(value, bytes) else value
+    except UnicodeDecodeError:
+        raise ValueError(f"a text must be UTF-8, got {short(value)}") from None
     if not isinstance(text, str):
         raise ValueError(f"a name must be a text, got {short(text)}")
     if len(text) > LONGEST_NAME:
@@ -148,17 +89,18 @@ def graph_of(fields: Fields) -> Graph:
     ValueError : they are not those of a graph.
     """
     nodes: dict[str, Node] = {}
-    edges: list[tuple[str, str]] = []
+    # the keys are the edges: some programs write an edge twice, and it is one edge
+    edges: dict[tuple[str, str], None] = {}
     _open(fields, "", nodes, edges, 0)
     metadata = fields.get("metadata", {})
-    return Graph(nodes, edges, metadata if isinstance(metadata, Mapping) else {})
+    return Graph(nodes, list(edges), metadata if isinstance(metadata, Mapping) else {})
 
 
 def _open(
     fields: Fields,
     prefix: str,
     nodes: dict[str, Node],
-    edges: list[tuple[str, str]],
+    edges: dict[tuple[str, str], None],
     depth: int,
 ) -> None:
     """Add the nodes and edges of a graph."""
@@ -172,7 +114,9 @@ def _open(
         name = prefix + _text(short_name)
         if not isinstance(node_fields, Mapping):
             raise ValueError(f"node {short(name)} has no fields")
-        kind = _text(node_fields.get("type"))
+        if "type" not in node_fields:
+            raise ValueError(f"node {short(name)} has no type")
+        kind = _text(node_fields["type"])
         ends[_text(short_name)] = name, name
         if kind == "NIRGraph":
             _open(node_fields, f"{name}.", nodes, edges, depth + 1)
@@ -186,10 +130,7 @@ def _open(
     for edge in _pairs(fields.get("edges", ())):
         if edge[0] not in ends or edge[1] not in ends:
             raise ValueError(f"an edge joins {short(edge)}, and one of them is no node")
-        pair = ends[edge[0]][1], ends[edge[1]][0]
-        # some programs write an edge twice; it is one edge
-        if pair not in edges:
-            edges.append(pair)
+        edges[ends[edge[0]][1], ends[edge[1]][0]] = None
 
 
 def _ends_of(fields: Fields, name: str) -> tuple[str, str]:
@@ -205,7 +146,9 @@ def _ends_of(fields: Fields, name: str) -> tuple[str, str]:
 
 def _pairs(edges: Any) -> list[tuple[str, str]]:
     """The edges as pairs of names."""
-    rows = edges.tolist() if isinstance(edges, np.ndarray) else list(edges)
+    rows = edges.tolist() if isinstance(edges, np.ndarray) else edges
+    if not isinstance(rows, (list, tuple)):
+        raise ValueError(f"its edges must be pairs of names, got {short(edges)}")
     if len(rows) > MOST_EDGES:
         raise ValueError(f"it has more than {MOST_EDGES:_} edges")
     pairs = []
@@ -238,9 +181,31 @@ def in_order(graph: Graph) -> list[Node]:
             if waits[reader] == 0:
                 ready.append(reader)
     if len(ordered) < len(graph.nodes):
-        circle = next(name for name, n in waits.items() if n > 0)
         raise NotImplementedError(
-            f"node {circle!r} is part of a recurrent connection: it reads its own output, and in "
-            "one event there is no time for that; simulators in time steps define it"
+            f"node {short(_in_circle(graph, waits))} is part of a recurrent connection: it reads "
+            "its own output, and in one event there is no time for that; simulators in time steps "
+            "define it"
         )
     return ordered
+
+
+def _in_circle(graph: Graph, waits: Mapping[str, int]) -> str:
+    """The name of a node that reads its own output, directly or through other nodes.
+
+    Parameters
+    ----------
+    waits : node -> how many nodes that it reads have not been put in order.
+    """
+    source_of = {}
+    for source, target in graph.edges:
+        if waits[source] and waits[target]:
+            source_of[target] = source
+
+    # Each node that waits reads another one that waits. So the way back from any of them never
+    # ends, and the first node that it meets again is part of a circle.
+    name = next(name for name, n in waits.items() if n > 0)
+    seen = set()
+    while name not in seen:
+        seen.add(name)
+        name = source_of[name]
+    return name
