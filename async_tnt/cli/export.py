@@ -1,17 +1,23 @@
-"""async-tnt export: a model's network as an ONNX file."""
+"""async-tnt export: a model's network as an ONNX file or a NIR graph, and models of NIR graphs."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
+from typing import Any
 
+from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import check_writable, replacing, user_path
 from async_tnt.base.messages import one_line
-from async_tnt.cli.options import MODELS_TEXT, model_of
+from async_tnt.cli.options import MODELS_TEXT, model_of, positive_int, positive_number
 from async_tnt.cli.output import say
 from async_tnt.networks.layers.conversion_check import Function, compare
 from async_tnt.networks.models.compiled_network import CompiledNetwork, compiled_network_of
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.nir_export import to_nir
+from async_tnt.networks.spiking.operations import RESETS
+from async_tnt.volume.config import WINDOW_US
 
 DESCRIPTION = """\
 Write a model's network to an ONNX file, for other programs and languages.
@@ -32,22 +38,117 @@ All outputs must agree with the compiled network's to 1e-4 of the largest number
   async-tnt export mine.safetensors --out mine.onnx --json
   async-tnt run --model digits.onnx                 run it by onnxruntime
 
-Needs onnx and onnxruntime (extra `onnx`). Exit code 0 if the file is written, 1 if it
-does not agree and nothing is written, 2 for bad usage or bad input.
+A spiking model is written as a NIR graph, and a NIR graph of another simulator becomes a
+model. A graph leaves some things open, which the options say.
+
+  async-tnt export spiking.safetensors --out spiking.nir
+  async-tnt export net.nir --reset subtract --out net.safetensors
+  async-tnt run a.npz --model net.safetensors
+
+Needs onnx and onnxruntime (extra `onnx`), or nir (extra `nir`). Exit code 0 if the file
+is written, 1 if ONNX does not agree and nothing is written, 2 for bad usage or bad input.
 """
+
+FROM_NIR = ("reset", "dt", "polarity", "classes", "window_us")
+"""The options for a NIR graph. They are parameters of `Model.from_nir`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("model", metavar="MODEL", help=MODELS_TEXT)
+    parser.add_argument("model", metavar="MODEL", help=f"{MODELS_TEXT}, or a .nir graph")
     parser.add_argument(
-        "--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists"
+        "--out",
+        required=True,
+        type=user_path,
+        metavar="FILE",
+        help="FILE.onnx; FILE.nir of a spiking model; FILE.safetensors of a .nir graph. It is "
+        "replaced if it exists",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object")
+    group = parser.add_argument_group("NIR graphs")
+    group.add_argument(
+        "--reset",
+        choices=RESETS,
+        help="what a spike does to the membrane: it takes the threshold from it (sinabs), or sets "
+        "it to v_reset (Norse)",
+    )
+    group.add_argument(
+        "--dt",
+        type=positive_number,
+        metavar="S",
+        help="the time step, in seconds, of the program that trained leaky neurons",
+    )
+    group.add_argument(
+        "--polarity",
+        choices=("off_first", "on_first"),
+        help="the order of the two input channels (default: off_first)",
+    )
+    group.add_argument(
+        "--classes", type=_names, metavar="A,B,...", help="class names (default: raw outputs)"
+    )
+    group.add_argument(
+        "--window-us",
+        type=positive_int,
+        metavar="US",
+        help=f"length of a window, in microseconds (default: {WINDOW_US:,})",
+    )
+
+
+def _names(text: str) -> list[str]:
+    """Read names that commas separate. This is an argparse type."""
+    return [name.strip() for name in text.split(",")]
 
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt export`. Returns the exit code."""
+    given = {name: value for name in FROM_NIR if (value := getattr(args, name)) is not None}
+    if Path(args.model).suffix.lower() == ".nir":
+        return _model_of_nir(args, given)
+    if args.out.suffix.lower() == ".nir":
+        polarity = given.pop("polarity", "off_first")
+        _refuse(given, args)
+        return _write_nir(args, polarity)
+    _refuse(given, args)
+    return _write_onnx(args)
+
+
+def _refuse(given: dict[str, Any], args: argparse.Namespace) -> None:
+    """Refuse options for a NIR graph where there is none."""
+    if given:
+        option = "--" + next(iter(given)).replace("_", "-")
+        raise ValueError(f"{option} is for a .nir graph, got {args.model}")
+
+
+def _model_of_nir(args: argparse.Namespace, given: dict[str, Any]) -> int:
+    """Write the model file of a NIR graph."""
+    check_writable(args.out, (".safetensors",))
+    model = Model.from_nir(args.model, **given)
+    path = model.save(args.out)
+    if args.json:
+        say(json.dumps({"files": {str(path): path.stat().st_size}, "neurons": model.n_neurons}))
+    else:
+        say(f"{path} ({path.stat().st_size / 1e3:.0f} kB): {model}")
+    return 0
+
+
+def _write_nir(args: argparse.Namespace, polarity: Any) -> int:
+    """Write the NIR graph of a spiking model."""
+    check_writable(args.out, (".nir",))
+    with needs_extra("nir", "NIR graphs are written by nir"):
+        import nir
+    graph = to_nir(model_of(args.model), polarity=polarity)
+    with replacing(args.out) as part:
+        nir.write(part, graph)
+    size = args.out.stat().st_size
+    if args.json:
+        say(json.dumps({"files": {str(args.out): size}, "nodes": len(graph.nodes)}))
+    else:
+        say(f"{args.out} ({size / 1e3:.0f} kB): {len(graph.nodes)} nodes")
+    return 0
+
+
+def _write_onnx(args: argparse.Namespace) -> int:
+    """Write a model's network to an ONNX file, and compare the two."""
     from async_tnt.networks.onnx.export import exported_shapes, to_onnx
     from async_tnt.networks.onnx.network import import_onnxruntime, output_function
 

@@ -11,12 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from async_tnt.base.files import user_path
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import SUFFIXES_TEXT, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import can_print, complain, message_of, reach_text, say
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.nir.graph import Graph, in_order, read_graph
 from async_tnt.sources.files.labelled_recordings import recordings_under
 from async_tnt.sources.recording_summary import RecordingSummary, summarize
 from async_tnt.volume.sensor import format_size
@@ -29,6 +32,7 @@ Say what recordings, folders of recordings and models hold.
   async-tnt info a.bag --topic /events     a ROS bag: its topics, the events of one
   async-tnt info gestures                  a folder: its classes, a line a recording
   async-tnt info digits mine.safetensors   models
+  async-tnt info net.nir                   a NIR graph of a spiking network
 
 Of a recording it says format, sensor, times, rates, share of ON events, unsorted events
 and hot pixels; of a model classes, volume, network and training record.
@@ -41,6 +45,8 @@ BARS = " ▁▂▃▄▅▆▇█"
 """Bars for rates of events, from none to the highest."""
 ASCII_BARS = " .:-=+*#@"
 """Bars for an output that cannot print `BARS`."""
+SMALL_FIELD = 4
+"""Up to this many numbers, a field of a NIR graph is not named."""
 N_HOT = 5
 """Number of hot pixels that are listed, at most. They are the busiest ones."""
 
@@ -52,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="WHAT",
         help=f"recordings ({SUFFIXES_TEXT}), or digits of bundled ones, folders, .safetensors "
-        f"files or bundled models ({', '.join(bundled_models())})",
+        f"and .nir files or bundled models ({', '.join(bundled_models())})",
     )
     parser.add_argument(
         "--sensor",
@@ -104,6 +110,9 @@ def _describe(
     if path.suffix.lower() == ".safetensors" or is_bundled:
         model = load_model(name)
         return {"model": name, **_model_report(model)}, list(_model_lines(name, model))
+    if path.suffix.lower() == ".nir":
+        graph = read_graph(path)
+        return {"graph": name, **_graph_report(graph)}, list(_graph_lines(name, graph))
     if path.is_dir():
         return _describe_folder(path, reading, option_names)
     summary = summarize(sample_or_path(path), **reading)
@@ -214,6 +223,41 @@ def _model_report(model: Model) -> dict[str, Any]:
         "map": None if model.places is None else model.logits_shape[1:],
         "record": model.record,
     }
+
+
+def _graph_report(graph: Graph) -> dict[str, Any]:
+    """What a NIR graph holds, as --json prints it."""
+    nodes = {}
+    for node in graph.nodes.values():
+        shapes = {
+            field: list(np.shape(values))
+            for field, values in node.fields.items()
+            if isinstance(values, np.ndarray)
+        }
+        nodes[node.name] = {"type": node.kind, "shapes": shapes}
+    return {"nodes": nodes, "edges": graph.edges}
+
+
+def _graph_lines(name: str, graph: Graph) -> Iterator[str]:
+    """Yield the nodes of a NIR graph, as lines of text."""
+    yield f"{name}: NIR graph, {len(graph.nodes)} nodes, {len(graph.edges)} edges"
+    sources: dict[str, list[str]] = {node: [] for node in graph.nodes}
+    for source, target in graph.edges:
+        sources[target].append(source)
+    try:
+        nodes = in_order(graph)
+    except NotImplementedError:  # it has a circle
+        nodes = list(graph.nodes.values())
+    for node in nodes:
+        read = f" reads {', '.join(sources[node.name])}" if sources[node.name] else ""
+        shapes = [
+            f"{field} {'x'.join(map(str, values.shape))}"
+            for field, values in node.fields.items()
+            if isinstance(values, np.ndarray) and values.size > SMALL_FIELD
+        ]
+        text = f"; {', '.join(shapes)}" if shapes else ""
+        yield f"  {node.name:<10} {node.kind}{read}{text}"
+    yield f"  a model of it: async-tnt export {name} --reset subtract --out FILE.safetensors"
 
 
 def _cost_report(model: Model) -> dict[str, int]:

@@ -101,6 +101,20 @@ def sample_or_path(name: str | Path) -> Path:
     return samples.get(str(path), path)
 
 
+def refuse_graph(name: str) -> None:
+    """Refuse a .nir graph as a model.
+
+    Raises
+    ------
+    ValueError : `name` is the path of one. The message says how it becomes a model.
+    """
+    if Path(name).suffix.lower() == ".nir":
+        raise ValueError(
+            f"{name}: a NIR graph leaves open how neurons are reset: `async-tnt export {name} "
+            "--reset subtract --out FILE.safetensors` makes a model of it"
+        )
+
+
 def model_of(name: str) -> Model:
     """Load the model of this name or path.
 
@@ -108,11 +122,7 @@ def model_of(name: str) -> Model:
     ------
     ValueError : it is an .onnx file, or a .nir graph that says not all.
     """
-    if Path(name).suffix.lower() == ".nir":
-        raise ValueError(
-            f"{name}: a NIR graph leaves open how neurons are reset: `async-tnt export {name} "
-            "--reset subtract --out FILE.safetensors` makes a model of it"
-        )
+    refuse_graph(name)
     if Path(name).suffix.lower() == ".onnx":
         raise ValueError(
             f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS_TEXT} is "

@@ -24,7 +24,7 @@ COMMANDS = {
     "run": "stream recordings through a model and print its decisions",
     "record": "record a camera or a network stream into class folders",
     "info": "describe recordings, folders of recordings, and models",
-    "export": "write a model's classifier to an ONNX file, checked (extra: onnx)",
+    "export": "write a model's network to an ONNX or NIR file (extras: onnx, nir)",
     "check": "prove that the stream equals the batch reference (extra: reference)",
     "bench": "measure what an event and a decision cost on this machine",
     "train": "train a model on recordings (extra: train)",

@@ -20,6 +20,7 @@ from async_tnt.cli.options import (
     check_reading,
     paths_of,
     reading_of,
+    refuse_graph,
     triggers_of,
 )
 from async_tnt.cli.output import DecisionLines, complain, complain_late, message_of, say
@@ -154,6 +155,7 @@ def _prepare(args: argparse.Namespace) -> _Run:
         options; or kernels must still be compiled, and no source can be opened.
     """
     selection = pixels_of(args)
+    refuse_graph(args.model)
     engine = choose_engine(args.model, map_model_sensor(selection, args), args.config)
     pixels = model_pixels_of(selection, engine.model)
     if must_compile():

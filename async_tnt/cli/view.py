@@ -20,6 +20,7 @@ from async_tnt.cli.options import (
     paths_of,
     positive_number,
     reading_of,
+    refuse_graph,
     triggers_of,
 )
 from async_tnt.cli.output import complain, complain_late, say
@@ -112,6 +113,7 @@ def main(args: argparse.Namespace) -> int:
         check_writable(args.out, SUFFIXES)
 
     selection = pixels_of(args)
+    refuse_graph(args.model)
     engine = choose_engine(args.model, map_model_sensor(selection, args), args.config)
     pixels = model_pixels_of(selection, engine.model)
     recording_and_select = None if is_live else pixels.open(path, **reading_of(args))

@@ -19,8 +19,8 @@ from async_tnt.base.checks import ParameterValueError, positive_int
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.files import Replacement, check_writable, user_path
 from async_tnt.networks.models.compiled_network import CompiledNetwork
-from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.processor import Processor
 from async_tnt.streaming.streams import Settings, as_processor
