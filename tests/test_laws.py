@@ -193,14 +193,14 @@ OUTPUTS = {
     for name, settings in SETTINGS.items()
     if "confidence" not in settings
 }
-SPIKES = {
-    f"spiking, {name}, {'raw' if raw else 'classes'}": partial(
-        SpikingStream, SPIKING, raw, settings
-    )
-    for name, settings in SETTINGS.items()
-    for raw in (False, True)
-    if not (raw and "confidence" in settings)
-}
+SPIKES = {}
+for _name, _settings in SETTINGS.items():
+    SPIKES[f"spiking, {_name}"] = partial(SpikingStream, SPIKING, False, _settings)
+    if "hop_us" not in _settings:
+        _kept = {**_settings, "keep_neurons": True}
+        SPIKES[f"spiking, kept, {_name}"] = partial(SpikingStream, SPIKING, False, _kept)
+    if "confidence" not in _settings:
+        SPIKES[f"spiking, raw, {_name}"] = partial(SpikingStream, SPIKING, True, _settings)
 ALL = VOLUMES | PROCESSORS | OUTPUTS | SPIKES
 of_all = pytest.mark.parametrize("make", ALL.values(), ids=ALL)
 

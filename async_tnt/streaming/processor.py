@@ -126,6 +126,9 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         event of the packet is used. `async_tnt.streaming.restarts` says how a restart is told from
         late events.
 
+    keep_neurons : of a spiking model, whether neurons go on from window to window, see
+        `SpikingVolume`. By default each window begins with neurons at rest.
+
     A copy continues the stream, bit for bit, and so does a pickle. `every_us`, `every_events`,
     `confidence` and `classifier` are attributes, too, and may change between calls. A call raises a
     RuntimeError while another call is running, in another thread or further up in the same thread.
@@ -174,6 +177,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         confidence: float | None = None,
         late: Late = "accept",
         on_restart: OnRestart = "warn",
+        keep_neurons: bool = False,
     ) -> None:
         networks = networks_of(model, classifier, regressor, classes)
         config = networks.config
@@ -198,7 +202,9 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         self._read_one = SingleEventReader()
         self._accepts_late = late == "accept"
         self._restarts = RestartWatch(on_restart, config.window_us)
-        self._windows = WindowScheduler(config, hop_us, start_us, networks.regressor, spiking)
+        self._windows = WindowScheduler(
+            config, hop_us, start_us, networks.regressor, spiking, keep_neurons
+        )
         self._choose_ways()
         self.reset()
 

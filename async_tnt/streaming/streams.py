@@ -42,6 +42,7 @@ class Settings(TypedDict, total=False):
     confidence: float | None
     late: Late
     on_restart: OnRestart
+    keep_neurons: bool
 
 
 @overload

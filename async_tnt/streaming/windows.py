@@ -67,6 +67,7 @@ class WindowScheduler:
     ----------
     config, regressor : see `TNTVolume`.
     spiking : the network that the events of each window go through; None if there is none.
+    keep_neurons : see `SpikingVolume`.
     hop_us : distance between the starts of windows, at most window_us, which is the default. Not
         with `window_events`.
     start_us : start of the first window; None: at the first event. Not with `window_events`.
@@ -79,6 +80,7 @@ class WindowScheduler:
         start_us: int | None,
         regressor: Regressor | None,
         spiking: SpikingNetwork | None = None,
+        keep_neurons: bool = False,
     ) -> None:
         self._window_us = config.window_us
         self._window_events = config.window_events
@@ -96,7 +98,12 @@ class WindowScheduler:
             if spiking is None:
                 self.volumes.append(TNTVolume(config, regressor=regressor))
             else:
-                self.volumes.append(SpikingVolume(spiking))
+                self.volumes.append(SpikingVolume(spiking, keep_neurons=keep_neurons))
+        if keep_neurons and spiking is None:
+            raise ParameterValueError("keep_neurons", "is for spiking models", True)
+        if keep_neurons and self.overlap:
+            rule = "must not be given with overlapping windows, as each has neurons of its own"
+            raise ParameterValueError("keep_neurons", rule, True)
         # Where events are stored for a replay, they are not absorbed before a volume is read.
         # Neurons have a state beside the volume's own.
         has_cells_alone = not config.needs_replay and spiking is None

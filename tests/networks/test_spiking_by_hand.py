@@ -231,6 +231,32 @@ def test_spikes_go_through_convolution_pool_and_sum():
     assert volume.spike_counts().tolist() == [5, 0] and volume.membranes().tolist() == [0.25, 0.0]
 
 
+@pytest.mark.parametrize("keep, expected", [(False, [1.0, 0.25]), (True, [1.5, 1.0])])
+def test_neurons_may_go_on_from_window_to_window(keep, expected):
+    """Membranes of .5 and .75 are left of the first window."""
+    model = dense_model(integrate("subtract", [9.0, 9.0]))
+    processor = Processor(model, every_events=1, start_us=0, keep_neurons=keep)
+    processor.push(([10, 20], [1, 1], [2, 2], [1, 0]))
+    processor.push((CONFIG.window_us + 10, 1, 2, 1))
+    volume = processor._windows.oldest
+    assert volume.membranes().tolist() == expected
+    assert volume.additions() == 2 and volume.n_events == 1
+    processor.reset()
+    assert processor._windows.oldest.membranes().tolist() == [0.0, 0.0]
+
+
+def test_spikes_are_counted_by_window_though_neurons_go_on():
+    model = dense_model(integrate("subtract"))
+    processor = Processor(model, start_us=0, keep_neurons=True)
+    times = [10, 20, 1_000_010, 1_000_020, 2_000_000]
+    first, second = processor.push((times, [1] * 5, [2] * 5, [1] * 5))
+    assert first.logits.tolist() == [1.0, 0.0] and second.logits.tolist() == [2.0, 0.0]
+    with pytest.raises(ValueError, match="`keep_neurons` must not be given with overlapping"):
+        Processor(model, hop_us=100_000, keep_neurons=True)
+    with pytest.raises(ValueError, match="`keep_neurons` is for spiking models"):
+        Processor("digits", keep_neurons=True)
+
+
 def test_a_tie_of_spikes_is_decided_by_the_membrane():
     model = dense_model(integrate("subtract"), on=(1.25, 1.5))
     (decision,) = Processor(model, every_events=1, start_us=0).push((10, 1, 2, 1))

@@ -29,6 +29,8 @@ class SpikingVolume(TNTVolume):
     ----------
     network : a SpikingNetwork, or a spiking model. Volumes may share a network.
     late : see `TNTVolume`. An event older than the newest one acts at the time of the newest.
+    keep_neurons : whether neurons go on from window to window. By default they are at rest when a
+        window opens. Spikes are counted for each window in any case.
 
     Raises
     ------
@@ -58,8 +60,15 @@ class SpikingVolume(TNTVolume):
     (array([1., 0.]), array([0.5, 2. ]))
     """
 
-    def __init__(self, network: SpikingNetwork | Model, *, late: Late = "accept") -> None:
+    def __init__(
+        self,
+        network: SpikingNetwork | Model,
+        *,
+        late: Late = "accept",
+        keep_neurons: bool = False,
+    ) -> None:
         prepare(absorb_spikes, absorb_one_spike)
+        self._keep_neurons = keep_neurons
         self.network = SpikingNetwork(network) if isinstance(network, Model) else network
         self._state = self.network.program.empty.copy()
         super().__init__(self.network.config, late=late)
@@ -72,6 +81,15 @@ class SpikingVolume(TNTVolume):
 
     def _empty(self, start_us: int, limit_us: int) -> None:
         super()._empty(start_us, limit_us)
+        program = self.network.program
+        if self._keep_neurons:
+            self._state[program.counted] = program.empty[program.counted]
+        else:
+            self._state[:] = program.empty
+
+    def reset(self) -> None:
+        """Return to the state after construction: see `TNTVolume.reset`."""
+        super().reset()
         self._state[:] = self.network.program.empty
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
@@ -122,7 +140,8 @@ class SpikingVolume(TNTVolume):
     def membranes(self, layer: str | None = None) -> np.ndarray:
         """The membranes of a layer, by default the output, at the newest event's time: float64."""
         memory = self._memory(layer)
-        program, _, params, _, _ = self.network.program
+        program = self.network.program.program
+        params = self.network.program.params
         record = program[memory.stage : memory.stage + L.STAGE_SIZE]
         membranes = self._as_layer(memory, memory.membranes)
         if record[L.NEURONS] not in (L.LEAKY, L.CURRENT_BASED):

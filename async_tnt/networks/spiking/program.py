@@ -55,6 +55,8 @@ class SpikingProgram(NamedTuple):
     """float64: of neurons and poolings."""
     empty: np.ndarray
     """float64: the state of a window without events."""
+    counted: np.ndarray
+    """int64: where in a state numbers of the window alone lie, such as counts of spikes."""
     stages: dict[str, StageMemory]
     """Layer of neurons, or the output's layer -> where its numbers lie."""
 
@@ -258,7 +260,12 @@ class _Maker:
             if is_shown and self._layers[name]["op"] != "pick":
                 stages[name] = arrays.memory_of(number, self._shapes[name])
         return SpikingProgram(
-            arrays.program, arrays.weights, arrays.params, arrays.empty_state(), stages
+            arrays.program,
+            arrays.weights,
+            arrays.params,
+            arrays.empty_state(),
+            np.array(arrays.counted, np.int64),
+            stages,
         )
 
 
@@ -276,6 +283,8 @@ class _Arrays:
         self._weights: list[np.ndarray] = []
         self._params: list[np.ndarray] = []
         self._at_rest: list[tuple[int, np.ndarray]] = []
+        self.counted: list[int] = []
+        """Where numbers of the window alone lie in the state."""
 
     @property
     def weights(self) -> np.ndarray:
@@ -310,6 +319,7 @@ class _Arrays:
         record[L.BOX] = self._room(4)
         record[L.N_SPIKES] = self._room(1)
         record[L.N_ADDED] = self._room(1)
+        self.counted += [int(record[L.N_SPIKES]), int(record[L.N_ADDED])]
         record[[L.MEMBRANES, L.CURRENTS, L.TIMES, L.COUNTS, L.FIRST_US]] = -1
         record[[L.WATCHED, L.N_WATCHED, L.IS_WATCHED]] = -1
         if stage.neurons == L.CURRENT_BASED:
@@ -329,6 +339,8 @@ class _Arrays:
             record[L.COUNTS] = self._room(n)
             record[L.FIRST_US] = self._room(n)
             self._at_rest.append((int(record[L.FIRST_US]), np.full(n, -1.0)))
+            for slot in (L.COUNTS, L.FIRST_US):
+                self.counted += range(int(record[slot]), int(record[slot]) + n)
         for link in stage.links:
             self._lay_out_link(link)
 
