@@ -9,8 +9,6 @@ import numpy as np
 from async_tnt.base.box import Box
 from async_tnt.base.checks import ParameterTypeError, ParameterValueError
 from async_tnt.base.messages import short
-from async_tnt.kernels.decisions.classify import softmax
-from async_tnt.kernels.entry_points import prepare
 from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.networks.models.spiking_volume import SpikingVolume
 from async_tnt.networks.spiking.outputs import FIRST_SPIKES, MEMBRANES, SPIKES
@@ -54,15 +52,6 @@ class WindowSpikes:
         if classes and len(classes) != network.n_classes:
             rule = f"must be {network.n_classes} names, one for each neuron of the output"
             raise ParameterValueError("classes", rule, short(classes))
-        self._prepare()
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._prepare()  # perhaps in another process
-
-    def _prepare(self) -> None:
-        """Compile the kernel of decisions, so that no event waits for that."""
-        prepare(softmax)
 
     def exchange(self, network: Any, confidence: float | None = None) -> None:
         """Refuse another network: the neurons of open windows belong to this one."""
@@ -91,17 +80,10 @@ class WindowSpikes:
         window = volume.moment()
         if not self.classes:
             return self._output(volume, window, trigger, complete)
-        membranes = volume.membranes().reshape(-1)
-        if self.classifier.fires:
-            logits = volume.spike_counts().reshape(-1).astype(np.float32)
-        else:
-            logits = membranes.astype(np.float32)
-        probabilities = np.empty(logits.size)
-        if softmax.call(logits, probabilities) < 0:
+        index, logits, probabilities = volume.answer()
+        if index < 0:
             got = short(logits.tolist())
             raise ParameterValueError("classifier", "must have finite numbers", got)
-        best = np.flatnonzero(logits == logits.max())
-        index = int(best[membranes[best].argmax()])
         if confidence is not None and probabilities[index] >= confidence:
             trigger = "confidence"
             complete = True

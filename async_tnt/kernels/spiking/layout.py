@@ -58,6 +58,7 @@ WIDTH = 21  # numbers of a place: CHANNELS, filled up to whole blocks
 WATCHED = 22  # the list
 N_WATCHED = 23  # its length
 IS_WATCHED = 24  # of each neuron, whether it is on the list
+FIRES = 25  # whether its neurons may fire: integrators never do
 
 # program: a link
 LINK_SIZE = 16

@@ -25,6 +25,7 @@ class SpikingNetwork:
     layers : the names of the layers of neurons, in their order. The last one is the output.
     fires : whether the output has spikes; a leaky integrator has none.
     program : the arrays that compiled code reads, see `kernels.spiking.layout`.
+    output_stage : where the output's record begins in them.
 
     Raises
     ------
@@ -43,3 +44,4 @@ class SpikingNetwork:
         self.layers = tuple(layer["name"] for layer in network if layer["op"] in kinds)
         self.fires = network[-1]["op"] in FIRING
         self.program = make_spiking_program(network, model.config.shape, model.weights)
+        self.output_stage = self.program.stages[self.layers[-1]].stage

@@ -11,6 +11,7 @@ from async_tnt.base.messages import short
 from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.spiking import layout as L
 from async_tnt.kernels.spiking.absorb import absorb_one_spike, absorb_spikes
+from async_tnt.kernels.spiking.answer import answer_spikes
 from async_tnt.kernels.volume.absorb import REFUSED
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.spiking_network import SpikingNetwork
@@ -67,7 +68,7 @@ class SpikingVolume(TNTVolume):
         late: Late = "accept",
         keep_neurons: bool = False,
     ) -> None:
-        prepare(absorb_spikes, absorb_one_spike)
+        prepare(absorb_spikes, absorb_one_spike, answer_spikes)
         self._keep_neurons = keep_neurons
         self.network = SpikingNetwork(network) if isinstance(network, Model) else network
         self._state = self.network.program.empty.copy()
@@ -77,7 +78,7 @@ class SpikingVolume(TNTVolume):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
-        prepare(absorb_spikes, absorb_one_spike)  # perhaps in another process
+        prepare(absorb_spikes, absorb_one_spike, answer_spikes)  # perhaps in another process
 
     def _empty(self, start_us: int, limit_us: int) -> None:
         super()._empty(start_us, limit_us)
@@ -111,6 +112,29 @@ class SpikingVolume(TNTVolume):
             self._buffer, *columns[:4], first, last, *self.network.program[:3], self._state
         )
         return absorbed
+
+    def answer(self) -> tuple[int, np.ndarray, np.ndarray]:
+        """The class, logits and probabilities of the open window, for a network with classes.
+
+        Returns
+        -------
+        The class, or -1 if a logit is not finite; the logits, float32; the probabilities, float64;
+        both of the shape (n_classes,).
+        """
+        network = self.network
+        logits = np.empty(network.n_classes, np.float32)
+        probabilities = np.empty(network.n_classes)
+        program = network.program
+        index = answer_spikes.call(
+            self._buffer,
+            program.program,
+            program.params,
+            self._state,
+            network.output_stage,
+            logits,
+            probabilities,
+        )
+        return index, logits, probabilities
 
     # -- what the neurons did ----------------------------------------------------------------------
 

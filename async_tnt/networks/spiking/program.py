@@ -20,6 +20,7 @@ from async_tnt.kernels.spiking.vectors import BLOCK
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.networks.spiking.operations import (
+    INTEGRATORS,
     LINEAR,
     NEURONS,
     SCALE,
@@ -86,6 +87,7 @@ class _Stage:
     links: list[_Link] = field(default_factory=list)
     neurons: int = L.NONE
     reset: int = L.SUBTRACT
+    fires: bool = False
     params: np.ndarray = field(default_factory=lambda: np.empty((L.N_PARAMS, 0)))
     """(N_PARAMS, numbers of one parameter)."""
 
@@ -170,6 +172,7 @@ class _Maker:
             stage = _Stage(_as_map(self._shapes[read]), self._links_of(self._layers[read]))
         stage.neurons = KINDS[layer["op"]]
         stage.reset = L.SUBTRACT if layer.get("reset") == SUBTRACT else L.TO_VALUE
+        stage.fires = layer["op"] not in INTEGRATORS
         stage.params = self._params_of(layer, stage.map_shape)
         self._add_stage(layer["name"], stage)
 
@@ -311,6 +314,7 @@ class _Arrays:
         record[[L.CHANNELS, L.ROWS, L.COLUMNS, L.WIDTH]] = channels, rows, columns, width
         record[L.NEURONS] = stage.neurons
         record[L.RESET] = stage.reset
+        record[L.FIRES] = stage.fires
         n_listed = channels * rows * columns if number else 1
         record[L.SUMS] = self._room(n if number else 0)
         record[L.LIST] = self._room(n_listed)
