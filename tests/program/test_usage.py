@@ -190,6 +190,7 @@ def test_an_error_that_a_user_can_mend_is_one_line(error, message, refused, monk
 def swapped(word):
     """The word with its second and third letter exchanged: one of the most common mistakes."""
     k = 3 if word.startswith("--") else 1
+    k = min(k, len(word) - 2)  # of --dt the first and second letter
     return word[:k] + word[k + 1] + word[k] + word[k + 2 :]
 
 

@@ -1,0 +1,161 @@
+"""What NIR graphs become, and what a graph leaves open."""
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+nir = pytest.importorskip("nir", reason="needs the extra `nir`")
+
+from async_tnt import Model, SpikingVolume, load_model  # noqa: E402
+
+SHARED = Path(os.environ.get("TNT_DATA", Path(__file__).parents[4] / "shared" / "data")) / "nir"
+ONES = np.ones(2)
+
+
+def graph_of(*nodes, sides=(2, 3, 4)):
+    n_out = 2
+    return nir.NIRGraph.from_list(
+        nir.Input({"input": np.array(sides)}),
+        *nodes,
+        nir.Output({"output": np.array([n_out])}),
+        type_check=False,
+    )
+
+
+def dense(*nodes, bias=None):
+    """A graph of a dense layer and these neurons."""
+    weight = np.arange(48.0).reshape(2, 24) / 10
+    linear = nir.Linear(weight) if bias is None else nir.Affine(weight, bias)
+    flatten = nir.Flatten({"input": np.array([2, 3, 4])}, start_dim=0, end_dim=-1)
+    return graph_of(flatten, linear, *nodes)
+
+
+IF = nir.IF(r=ONES, v_threshold=ONES)
+LIF = nir.LIF(tau=ONES, r=ONES, v_leak=0 * ONES, v_threshold=ONES)
+
+
+@pytest.mark.parametrize(
+    "graph, settings, message",
+    [
+        (dense(IF), {}, "`reset` must be subtract or value: NIR leaves open how a neuron is reset"),
+        (
+            dense(LIF),
+            {"reset": "value"},
+            "`dt` is missing: a leaky neuron's input counts r dt",
+        ),
+        (dense(IF), {"reset": "zero"}, "`reset` must be subtract or value, got 'zero'"),
+        (dense(LIF), {"reset": "value", "dt": -1}, "`dt` must be a positive number, got -1"),
+        (
+            dense(IF),
+            {"reset": "value", "polarity": "on"},
+            "`polarity` must be off_first or on_f",
+        ),
+        (dense(IF), {"reset": "value", "classes": ["a"]}, "the network must compute 1 logits, one"),
+        (3, {}, "`graph` must be the path of a .nir file, or a nir.NIRGraph, got int"),
+    ],
+)
+def test_what_a_graph_leaves_open_is_asked_for(graph, settings, message):
+    with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
+        Model.from_nir(graph, **settings)
+
+
+@pytest.mark.parametrize(
+    "graph, message",
+    [
+        (dense(nir.Delay(ONES), IF), "(Delay) has no meaning here"),
+        (dense(nir.I(ONES), IF), "(I) has no meaning here"),
+        (dense(), "the graph's last node must be of neurons (IF, LIF, CubaLIF, LI or CubaLI)"),
+        (graph_of(IF, sides=(2,)), "must be the only one, with a shape (1 or 2, H, W)"),
+        (graph_of(IF, sides=(3, 4, 4)), "must be the only one, with a shape (1 or 2, H, W)"),
+    ],
+)
+def test_a_graph_without_a_meaning_at_an_event_is_refused(graph, message):
+    with pytest.raises(NotImplementedError, match=re.escape(message)):
+        Model.from_nir(graph, reset="subtract")
+
+
+def test_a_bias_is_refused_where_it_is_not_zero():
+    model = Model.from_nir(dense(IF, bias=0 * ONES), reset="subtract")
+    assert not any("bias" in name for name in model.weights)
+    message = "(dense): its bias must be 0, got up to 0.5: a constant current has no meaning at an"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Model.from_nir(dense(IF, bias=np.array([0.0, 0.5])), reset="subtract")
+
+
+@pytest.mark.parametrize("polarity, first", [("off_first", 0), ("on_first", 1)])
+def test_the_order_of_polarities(polarity, first):
+    """An event of channel 0 at (x 1, y 2) is number 9 of the input, one of channel 1 number 21."""
+    graph = dense(nir.IF(r=ONES, v_threshold=np.full(2, 99.0)))
+    volume = SpikingVolume(Model.from_nir(graph, reset="subtract", polarity=polarity))
+    volume.open(0)
+    volume.update_one(5, 1, 2, first)
+    np.testing.assert_allclose(volume.membranes(), [0.9, 3.3], rtol=1e-6)
+    volume.update_one(6, 1, 2, 1 - first)
+    np.testing.assert_allclose(volume.membranes(), [0.9 + 2.1, 3.3 + 4.5], rtol=1e-6)
+
+
+def test_an_input_of_one_channel_takes_both_polarities_alike():
+    weight = np.arange(24.0).reshape(2, 12)
+    flatten = nir.Flatten({"input": np.array([1, 3, 4])}, start_dim=0, end_dim=-1)
+    neurons = nir.IF(r=ONES, v_threshold=np.full(2, 999.0))
+    graph = graph_of(flatten, nir.Linear(weight), neurons, sides=(1, 3, 4))
+    volume = SpikingVolume(Model.from_nir(graph, reset="subtract"))
+    volume.open(0)
+    for t, p in ((1, 0), (2, 1), (3, 1)):
+        volume.update_one(t, 1, 2, p)
+    assert volume.membranes().tolist() == [27.0, 63.0]
+
+
+def test_two_paths_are_added():
+    sides = {"input": np.array([2, 2, 2])}
+    nodes = {
+        "input": nir.Input(sides),
+        "flat": nir.Flatten(sides, start_dim=0, end_dim=-1),
+        "a": nir.Linear(np.ones((2, 8))),
+        "b": nir.Linear(np.array([[0.5] * 8, [0.25] * 8])),
+        "out": nir.IF(r=ONES, v_threshold=np.full(2, 9.0)),
+        "output": nir.Output({"output": np.array([2])}),
+    }
+    edges = [("input", "flat"), ("flat", "a"), ("flat", "b"), ("a", "out"), ("b", "out")]
+    graph = nir.NIRGraph(nodes, [*edges, ("out", "output")], type_check=False)
+    volume = SpikingVolume(Model.from_nir(graph, reset="subtract"))
+    volume.open(0)
+    volume.update_one(5, 1, 1, 0)
+    assert volume.membranes().tolist() == [1.5, 1.25]
+
+
+def test_the_sensor_of_a_file_is_checked():
+    flatten = nir.Flatten({"input": np.array([2, 1, 2])}, start_dim=0, end_dim=-1)
+    graph = graph_of(flatten, nir.Linear(np.ones((2, 4))), IF, sides=(2, 1, 2))
+    with pytest.raises(ValueError, match=r"its shape \(1 or 2, H, W\): .* must have sides of 2 to"):
+        Model.from_nir(graph, reset="subtract")
+
+
+def test_the_published_graph_of_n_mnist():
+    path = SHARED / "cnn_sinabs.nir"
+    if not path.exists():
+        pytest.skip("no shared data: set TNT_DATA")
+    model = load_model(path, reset="subtract", window_us=350_000)
+    ops = [layer["op"] for layer in model.layers]
+    expected = "pick conv if conv if sum_pool conv if sum_pool flatten dense if dense if"
+    assert ops == expected.split() and model.n_neurons == 8_970
+    assert model.config.sensor == (34, 34)
+
+
+def test_a_recurrent_graph_names_a_node_of_the_circle():
+    path = SHARED / "braille_noDelay_noBias_subtract.nir"
+    if not path.exists():
+        pytest.skip("no shared data: set TNT_DATA")
+    with pytest.raises(NotImplementedError, match=r"'lif1\.lif' is part of a recurrent connection"):
+        Model.from_nir(path, reset="subtract", dt=1e-4)
+
+
+def test_parameters_for_graphs_are_refused_for_other_files(tmp_path):
+    with pytest.raises(TypeError, match=r"`reset` is for \.nir graphs, got"):
+        load_model("digits", reset="value")
+    nir.write(tmp_path / "net.nir", dense(IF))
+    with pytest.raises(TypeError, match=r"`config` is for \.onnx networks"):
+        load_model(tmp_path / "net.nir", config=Model.from_nir(dense(IF), reset="value").config)

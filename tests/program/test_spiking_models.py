@@ -1,0 +1,156 @@
+"""What the commands do with a spiking model, and with NIR graphs."""
+
+import json
+
+import numpy as np
+import pytest
+from networks.random_spiking import random_spiking_model
+
+from async_tnt import Processor, TNTConfig, load_model, open_recording
+from async_tnt.networks import to_nir
+from async_tnt.networks.models.spiking_volume import SpikingVolume
+from async_tnt.sources import sample_recordings
+
+CONFIG = TNTConfig(sensor=(34, 34), grid=(34, 34), representation="count", window_us=200_000)
+MODEL = random_spiking_model(9, CONFIG)
+RAW = random_spiking_model(11, CONFIG, raw=True)
+SAMPLE = sample_recordings()[3]
+
+
+@pytest.fixture
+def model(tmp_path):
+    return MODEL.save(tmp_path / "spiking.safetensors")
+
+
+def test_run_prints_what_a_processor_decides(program, model):
+    code, text, error = program("run", "3", "--model", model, "--json", "--every-us", "50000")
+    values = [json.loads(line) for line in text.splitlines()]
+    processor = Processor(MODEL, every_us=50_000)
+    decisions = processor.push(open_recording(SAMPLE).read()) + processor.finish()
+    assert code == 0 and not error
+    assert [value["label"] for value in values] == [d.label for d in decisions]
+    assert [value["events"] for value in values] == [d.events for d in decisions]
+
+
+def test_run_prints_the_range_of_raw_outputs(program, tmp_path):
+    path = RAW.save(tmp_path / "raw.safetensors")
+    code, text, _ = program("run", "3", "--model", path)
+    assert code == 0 and "  spikes 0 to " in text and "  first_spike_us -1 to " in text
+
+
+def test_info_tells_neurons(program, model):
+    code, text, _ = program("info", model)
+    assert code == 0 and f"{MODEL.n_neurons:,} neurons" in text and "spiking: " in text
+    _, text, _ = program("info", model, "--json")
+    report = json.loads(text)
+    assert report["neurons"] == MODEL.n_neurons and "multiplications" not in report
+
+
+def test_bench_counts_spikes_and_additions(program, model):
+    code, text, _ = program("bench", "--model", model, "--json")
+    report = json.loads(text)
+    volume = SpikingVolume(MODEL)
+    spikes = dict.fromkeys(volume.network.layers, 0)
+    n_events = 0
+    for path in sample_recordings().values():
+        events = open_recording(path).read()
+        volume.open(int(events["t"][0]))
+        volume.update(events[events["t"] < events["t"][0] + CONFIG.window_us])
+        n_events += volume.n_events
+        for layer in spikes:
+            spikes[layer] += volume.spikes(layer)
+    assert code == 0 and "us_a_whole_pass" not in report and "multiplications" not in report
+    assert report["spikes_an_event"] == {name: n / n_events for name, n in spikes.items()}
+    assert min(report["additions_an_event"].values()) >= 0 < report["decisions_a_second"]["median"]
+    code, text, _ = program("bench", "--model", model)
+    assert "ns an event into the network" in text and "one event causes spikes in layer" in text
+
+
+def test_check_compares_spikes_and_membranes(program, model, monkeypatch):
+    code, text, _ = program("check", "3", "--model", model, "--prefixes", "3")
+    assert code == 0 and "spikes against reference" in text and "membranes against" in text
+    counts = SpikingVolume.spike_counts
+
+    def wrong(self):
+        numbers = counts(self)
+        numbers[-1] += 1
+        return numbers
+
+    monkeypatch.setattr(SpikingVolume, "spike_counts", wrong)
+    code, text, _ = program("check", "3", "--model", model, "--prefixes", "3")
+    assert code == 1 and "FAILS" in text and "NOT equal" in text
+
+
+def test_evaluate_plot_and_a_folder(program, model, tmp_path):
+    for name in MODEL.classes:
+        (tmp_path / "set" / name).mkdir(parents=True)
+        (tmp_path / "set" / name / "3.npy").write_bytes(SAMPLE.read_bytes())
+        np.save(tmp_path / "set" / name / "3.npy", open_recording(SAMPLE).read())
+    code, text, _ = program("evaluate", model, tmp_path / "set", "--json")
+    report = json.loads(text)
+    assert code == 0 and report["recordings"] == 3 and report["accuracy"] == pytest.approx(1 / 3)
+    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+    code, _, _ = program("plot", "3", "--model", model, "--out", tmp_path / "p.png")
+    assert code == 0 and (tmp_path / "p.png").stat().st_size > 10_000
+
+
+# -- NIR graphs ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def graph(tmp_path):
+    nir = pytest.importorskip("nir", reason="needs the extra `nir`")
+    made = random_spiking_model(3, CONFIG, ops=("if",))
+    nir.write(tmp_path / "net.nir", to_nir(made))
+    return tmp_path / "net.nir"
+
+
+def test_a_graph_becomes_a_model_and_a_graph_again(program, graph, tmp_path):
+    pytest.importorskip("nir", reason="needs the extra `nir`")
+    layers = random_spiking_model(3, CONFIG, ops=("if",)).layers
+    reset = next(layer["reset"] for layer in layers if "reset" in layer)
+    out = tmp_path / "m.safetensors"
+    words = ("--reset", reset, "--classes", "a, b,c", "--window-us", "200000")
+    code, text, error = program("export", graph, "--out", out, *words)
+    assert code == 0 and not error and text.startswith(f"{out} (")
+    model = load_model(out)
+    assert model.classes == ("a", "b", "c") and model.config == CONFIG
+    again = tmp_path / "again.nir"
+    code, text, _ = program("export", out, "--out", again, "--json")
+    assert code == 0 and json.loads(text)["files"] == {str(again): again.stat().st_size}
+    code, _, _ = program("export", again, "--out", tmp_path / "n.safetensors", *words)
+    assert (tmp_path / "n.safetensors").read_bytes() == out.read_bytes()
+
+
+def test_info_lists_the_nodes_of_a_graph(program, graph):
+    code, text, _ = program("info", graph)
+    head, *nodes, last = text.splitlines()
+    assert code == 0 and head.startswith(f"{graph}: NIR graph, {len(nodes)} nodes, ")
+    assert (
+        "Input" in nodes[0] and "Output reads" in nodes[-1] and last.startswith("  a model of it")
+    )
+    report = json.loads(program("info", graph, "--json")[1])
+    assert len(report["nodes"]) == len(nodes)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("run 3 --model GRAPH", "a NIR graph leaves open how neurons are reset: `async-tnt export"),
+        ("check 3 --model GRAPH", "a NIR graph leaves open how neurons are reset: `async-tnt exp"),
+        ("export GRAPH --out m.safetensors", "--reset must be subtract or value: NIR leaves open"),
+        ("export GRAPH --out m.onnx --reset value", "m.onnx: its name must end in .safetensors"),
+        ("export digits --out m.nir", "must be a spiking model, as NIR has no ReLU"),
+        ("export digits --out m.onnx --reset value", "--reset is for a .nir graph, got digits"),
+        ("export SPIKING --out m.onnx", "must have a network that reads volumes"),
+        ("info broken.nir", "broken.nir is not a readable NIR graph"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(
+    words, message, program, graph, model, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.nir").write_bytes(b"no graph")
+    places = {"GRAPH": str(graph), "SPIKING": str(model)}
+    code, text, error = program(*(places.get(word, word) for word in words.split()))
+    assert code == 2 and not text and message in error and error.count("\n") == 1
