@@ -17,7 +17,7 @@ from typing import Any, Generic, cast
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError
+from async_tnt.base.checks import ParameterValueError, checked_time
 from async_tnt.base.messages import short
 from async_tnt.base.running import Method, Running, one_at_a_time
 from async_tnt.kernels.decisions.trigger import NOT_DUE, ONLY_IF_SURE, until_due, why_due
@@ -71,6 +71,13 @@ def _check_same_kind(saved: Any, network: Any) -> None:
     if saved_outputs != outputs:
         rule = f"must be of a stream with the raw outputs {short(outputs)}"
         raise ParameterValueError("state", rule, short(saved_outputs))
+
+
+def _check_confidence(config: TNTConfig, confidence: float | None) -> None:
+    """Refuse a level of confidence, which closes windows, for windows that slide."""
+    if config.slides and confidence is not None:
+        rule = "closes windows, and windows of `last_events` and `last_us` have no end"
+        raise ParameterValueError("confidence", rule, short(confidence))
 
 
 def _recovering(method: Method) -> Method:
@@ -194,6 +201,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
                 config, networks.classifier, networks.classes, confidence
             )
         self._running = Running("Processor")
+        _check_confidence(config, confidence)
         self._triggers = Triggers(
             TriggerSettings(every_us=every_us, every_events=every_events, confidence=confidence)
         )
@@ -290,7 +298,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             volume = self._direct_volume
             if volume is None:
                 return self._take_watched(self._decoder.decode_one(t, x, y, p, False), [])
-            n_before = volume.n_events if self._decides_by_event else -1
+            n_before = volume.n_arrived if self._decides_by_event else -1
             outcome = volume.absorb_one(t, x, y, p)
             # the usual case, in which no single event makes a decision due
             if outcome == ABSORBED and n_before < 0:
@@ -299,7 +307,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             decisions: list[AnswerT] = []
             if outcome == AT_LIMIT:
                 self._advance(t, decisions)
-                n_before = volume.n_events
+                n_before = volume.n_arrived
                 outcome = volume.absorb_one(t, x, y, p)
             if outcome == LATE:
                 self._look_at_late(t, x, y, p, decisions)
@@ -326,7 +334,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         self._choose_ways()
         if self._known_oldest != self._oldest_window():
             self._begin_oldest(self._newest_us)
-        self._triggers.n_at_decision = min(self._triggers.n_at_decision, windows.oldest.n_events)
+        self._triggers.n_at_decision = min(self._triggers.n_at_decision, windows.oldest.n_arrived)
         windows.set_limit(self._triggers.next_due_us)
 
     def _oldest_window(self) -> tuple[TNTVolume, int] | None:
@@ -341,17 +349,17 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         if self._decoder.first_us >= self._late_before_us:
             return self._absorb(self._decoder.apply_policy(columns), decisions)
         watch = self._restarts
-        first = watch.look(columns, self._newest_us, self._windows.oldest.n_events)
+        first = watch.look(columns, self._newest_us, self._windows.oldest.n_arrived)
         if first is not None:
             return self._begin_again(columns, first, decisions)
         self._absorb(self._decoder.apply_policy(columns), decisions)
-        watch.note(self._newest_us, self._windows.oldest.n_events)
+        watch.note(self._newest_us, self._windows.oldest.n_arrived)
         return decisions
 
     def _look_at_late(self, t: int, x: int, y: int, p: int, decisions: list[AnswerT]) -> None:
         """Check whether the clock has begun again at an event that has been counted as late."""
         columns = self._decoder.decode_one(t, x, y, p, False)
-        first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
+        first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_arrived)
         if first is not None:
             self._begin_again(columns, first, decisions)
 
@@ -408,7 +416,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             return self._absorb_stretch(columns, first, decisions)
         windows = self._windows
         oldest = windows.oldest
-        n_before = oldest.n_events
+        n_before = oldest.n_arrived
         last = min(columns.n, first + windows.room)
         stop = until_due.call(self._triggers.state, n_before, first, last)
         absorbed = windows.absorb(columns, first, stop)
@@ -463,7 +471,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         """
         oldest = self._windows.oldest
         triggers = self._triggers
-        why = why_due.call(triggers.state, n_before, oldest.n_events)
+        why = why_due.call(triggers.state, n_before, oldest.n_arrived)
         if why == NOT_DUE:
             return []
         confidence = triggers.settings.confidence
@@ -483,7 +491,8 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             end_us = windows.oldest_end_us
             if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
                 new_decisions = []
-                if oldest.n_events > triggers.n_at_decision:
+                if oldest.n_arrived > triggers.n_at_decision:
+                    oldest.advance(triggers.next_due_us)
                     confidence = triggers.settings.confidence
                     new_decisions = [self._decide(decisions, "every_us", confidence=confidence)]
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
@@ -499,7 +508,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         oldest = self._windows.oldest
         # The decision is made before the window is closed, so that the window stays open if the
         # classifier raises an error.
-        if oldest.n_events:
+        if oldest.n_arrived:
             decisions.append(self._decide(decisions, "window", complete=True))
         self._stream_time_us = max(self._newest_us, now_us)
         self._windows.close_oldest()
@@ -515,7 +524,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         """Append new decisions about the oldest window. A complete decision closes it early."""
         decisions += new
         if new:
-            self._triggers.n_at_decision = new[-1].events
+            self._triggers.n_at_decision = self._windows.oldest.n_arrived
         if new and new[-1].complete:
             self._stream_time_us = max(self._newest_us, now_us)
             self._windows.close_oldest(early=True)
@@ -539,13 +548,18 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             self._triggers.begin_window(now_us, None)
         self._known_oldest = self._oldest_window()
 
-    def fire(self) -> AnswerT:
+    def fire(self, at_us: int | None = None) -> AnswerT:
         """Classify the open window as it is now, without any change to the stream.
 
         Before the first event, an empty volume is classified.
+
+        at_us : the time that it is now, in microseconds, for a window of `last_us`: older events
+            have left it by then. By default it is the time of the newest event.
         """
         self._running.begin()
         try:
+            if at_us is not None:
+                self._windows.oldest.advance(checked_time("at_us", at_us))
             answer: AnswerT = self._decide([], "fire")
             return answer
         finally:
@@ -570,7 +584,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             self._decide_and_close_oldest(self._windows.oldest.newest_us, decisions)
         while len(self._windows):
             oldest = self._windows.oldest
-            if oldest.n_events:
+            if oldest.n_arrived:
                 decisions.append(self._decide(decisions, "end"))
             self._stream_time_us = end_us
             self._windows.close_oldest()
@@ -654,6 +668,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     @_recovering
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Change the triggers; they apply to the open window, too."""
+        _check_confidence(self.config, settings.confidence)
         self._classifier.check_confidence(settings.confidence)
         self._triggers.set(settings)
         self._choose_ways()

@@ -101,7 +101,10 @@ class WindowClassifier:
         _check_confidence(reader, confidence)
         tracks = self._new_tracks(reader, classifier)
         decides_in_stretches = (
-            compiled is not None and reader is None and not self._config.needs_replay
+            compiled is not None
+            and reader is None
+            and not self._config.needs_replay
+            and not self._config.slides
         )
 
         # plain assignments in a row: no exception, such as Ctrl-C, can come between them

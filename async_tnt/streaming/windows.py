@@ -20,7 +20,7 @@ from async_tnt.base.checks import ParameterValueError, checked_time, positive_in
 from async_tnt.base.messages import short
 from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.absorb import absorb_into_others
-from async_tnt.kernels.volume.state import RECEIVED
+from async_tnt.kernels.volume.state import NEVER_US, RECEIVED
 from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.networks.models.spiking_volume import SpikingVolume
 from async_tnt.streaming.decision import Decision
@@ -82,7 +82,11 @@ class WindowScheduler:
         spiking: SpikingNetwork | None = None,
         keep_neurons: bool = False,
     ) -> None:
-        self._window_us = config.window_us
+        self._window_us = NEVER_US if config.slides else config.window_us
+        if config.slides and hop_us is not None:
+            rule = "must not be given with a window that slides: its decisions come at any moment"
+            raise ParameterValueError("hop_us", rule, short(hop_us))
+        self._slides = config.slides
         self._window_events = config.window_events
         if config.window_events is not None:
             for name, value in (("hop_us", hop_us), ("start_us", start_us)):
@@ -162,6 +166,9 @@ class WindowScheduler:
         If no window is open, it is the start of the next window, or -1 if the next window begins
         with any event.
         """
+        if self._slides:
+            # whether events are late is known only when they come
+            return NEVER_US
         if self._open:
             return self.oldest.start_us
         return -1 if self._next_start_us is None else self._next_start_us
@@ -176,12 +183,12 @@ class WindowScheduler:
         """How many more events the oldest window takes."""
         if self._window_events is None:
             return MAX_EVENTS
-        return self._window_events - self.oldest.n_events
+        return self._window_events - self.oldest.n_arrived
 
     @property
     def is_full(self) -> bool:
         """Whether the oldest window holds as many events as a window may."""
-        return self._window_events is not None and self.oldest.n_events >= self._window_events
+        return self._window_events is not None and self.oldest.n_arrived >= self._window_events
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows, up to the limit; returns the first event not added."""
@@ -276,7 +283,7 @@ class WindowScheduler:
         """Whether a window is open, and not only for an event that was never absorbed."""
         if not volume.is_open:
             return False
-        return volume.n_events > 0 or not self._empty_begins_with_event()
+        return volume.n_arrived > 0 or not self._empty_begins_with_event()
 
     def _empty_begins_with_event(self) -> bool:
         """Whether a window without events would begin at the time of its first event.

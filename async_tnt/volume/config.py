@@ -49,6 +49,9 @@ MAX_WINDOW_US = 3600 * 1_000_000
 """Longest window in microseconds, an hour: an int64 then holds the sum of a billion times."""
 MAX_WINDOW_EVENTS = 1 << 30
 """The most events of a window of `window_events`."""
+MAX_LAST_EVENTS = 1 << 20
+"""The most events of a window that slides. They take 16 MB. In a window of `last_us`, the oldest
+event leaves early where more would be in it, and `TNTVolume.n_left_early` counts it."""
 MIN_T_MAX = 1e-6
 """Smallest TNT time at the end of a window."""
 MAX_T_MAX = 1e6
@@ -75,6 +78,11 @@ class TNTConfig:
         window begins with an event, and times are scaled by its newest event, as in the thesis.
         As the newest event is known only when the volume is read, the events are stored, and
         replayed then. `window_us` is the longest duration of such a window, by default an hour.
+    last_events : the window slides: at any moment it holds the last so many events, instead of
+        those since a start. There is no end of a window.
+    last_us : the window slides: at any moment it holds the events that are younger than this many
+        microseconds, seen from the newest event. Both need representation "count", without the
+        transform and on the sensor's own grid, because counts of events can be taken back exactly.
     t_max : TNT time at the end of a window. Positions are divided by TNT time, so an object shrinks
         by this factor until the window's end. A smaller value loses fewer events over the border
         early in the window.
@@ -121,6 +129,8 @@ class TNTConfig:
     remove_flow: bool
     window_events: int | None
     representation: Representation
+    last_events: int | None
+    last_us: int | None
 
     def __init__(
         self,
@@ -135,6 +145,8 @@ class TNTConfig:
         remove_flow: bool = False,
         window_events: int | None = None,
         representation: Representation = "volume",
+        last_events: int | None = None,
+        last_us: int | None = None,
     ) -> None:
         # `dataclass` cannot write this method, because four arguments may be None, and their fields
         # may not.
@@ -146,8 +158,21 @@ class TNTConfig:
             polarity = "split" if is_image else "signed"
         if transform is None:
             transform = "none" if is_image else "tnt"
+        _check_one_kind(
+            {
+                "window_us": window_us,
+                "window_events": window_events,
+                "last_events": last_events,
+                "last_us": last_us,
+            }
+        )
+        if last_events is not None:
+            last_events = whole_number("last_events", last_events, 1, MAX_LAST_EVENTS + 1)
+        if last_us is not None:
+            last_us = whole_number("last_us", last_us, 1, MAX_WINDOW_US + 1)
         if window_us is None:
-            window_us = WINDOW_US if window_events is None else MAX_WINDOW_US
+            has_end = window_events is None and last_events is None
+            window_us = (last_us or WINDOW_US) if has_end else MAX_WINDOW_US
         if window_events is not None:
             window_events = whole_number("window_events", window_events, 1, MAX_WINDOW_EVENTS + 1)
 
@@ -163,12 +188,15 @@ class TNTConfig:
             "remove_flow": _flag("remove_flow", remove_flow),
             "window_events": window_events,
             "representation": representation,
+            "last_events": last_events,
+            "last_us": last_us,
         }
         for name, value in checked.items():
             # The dataclass is frozen, so a plain assignment is refused.
             object.__setattr__(self, name, value)
         self._check_flow()
         self._check_image()
+        self._check_sliding()
         self._check_cells()
 
     def _check_flow(self) -> None:
@@ -198,6 +226,23 @@ class TNTConfig:
                 f"polarity={self.polarity!r}"
             )
 
+    def _check_sliding(self) -> None:
+        """Refuse a sliding window whose events cannot be taken back exactly."""
+        if not self.slides:
+            return
+        is_exact = self.representation == "count" and self.transform == "none"
+        if not is_exact or self.grid != self.sensor:
+            name = "last_us" if self.last_events is None else "last_events"
+            rule = (
+                'needs representation="count", transform="none" and the sensor\'s own grid, because '
+                "only counts of events can be taken back exactly"
+            )
+            got = (
+                f"representation={self.representation!r}, transform={self.transform!r}, "
+                f"grid={self.grid}, sensor={self.sensor}"
+            )
+            raise ParameterValueError(name, rule, got)
+
     def _check_cells(self) -> None:
         """Refuse a volume with more cells than `MAX_CELLS`."""
         planes = self.channels + second_bin(self)
@@ -216,6 +261,11 @@ class TNTConfig:
     def shape(self) -> tuple[int, int, int]:
         """The shape (C, H, W) of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
+
+    @property
+    def slides(self) -> bool:
+        """Whether the window slides: it has no end, and old events leave it."""
+        return self.last_events is not None or self.last_us is not None
 
     @property
     def needs_regressor(self) -> bool:
@@ -260,6 +310,12 @@ class TNTConfig:
         values = asdict(self)
         for name in ("sensor", "grid"):
             values[name] = list(values[name])
+        if self.slides:
+            del values["window_us"]
+        for name in ("last_events", "last_us"):
+            # earlier releases, which read files of other windows, do not know these names
+            if values[name] is None:
+                del values[name]
         return values
 
     @classmethod
@@ -302,8 +358,10 @@ class TNTConfig:
         representation = changes.get("representation", self.representation)
         if representation != self.representation:
             changes = {"bins": None, "polarity": None, "transform": None} | changes
-        window_events = changes.get("window_events", self.window_events)
-        if (window_events is None) != (self.window_events is None):
+        kinds = ("window_events", "last_events", "last_us")
+        before = [getattr(self, name) is not None for name in kinds]
+        after = [changes.get(name, getattr(self, name)) is not None for name in kinds]
+        if before != after or self.slides:
             changes = {"window_us": None} | changes
         return replace(self, **changes)
 
@@ -323,6 +381,14 @@ def _one_of(name: str, value: Any, allowed: tuple[str, ...]) -> str:
     if not isinstance(value, str) or value not in allowed:
         raise ParameterValueError(name, f"must be one of {', '.join(allowed)}", short(value))
     return value
+
+
+def _check_one_kind(lengths: Mapping[str, Any]) -> None:
+    """Refuse a window that slides and has another length, too. Only two lengths go together."""
+    given = [name for name, value in lengths.items() if value is not None]
+    if len(given) > 1 and given != ["window_us", "window_events"]:
+        rule = f"must not be given with {{{given[0]}}}: a window has one length"
+        raise ParameterValueError(given[1], rule)
 
 
 def _size(name: str, value: Any) -> tuple[int, int]:

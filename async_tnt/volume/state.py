@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from async_tnt.kernels.volume import state as S
-from async_tnt.volume.config import TNTConfig, second_bin
+from async_tnt.volume.config import MAX_LAST_EVENTS, TNTConfig, second_bin
 
 MAX_EVENTS = 1 << 53
 """More events than a volume ever gets: 28 years at 10 million events a second. Sums of so many
@@ -37,7 +37,8 @@ def new_state(config: TNTConfig) -> np.ndarray:
     plane = (width + 1) * (height + 1)
     n_cells = (config.channels + second_bin(config)) * plane
     log_size = _power_of_two(max(S.BLOCK, n_cells // S.CELLS_PER_LOGGED))
-    buffer = np.zeros(S.CELLS + n_cells + log_size)
+    ring_size = (config.last_events or MAX_LAST_EVENTS) if config.slides else 0
+    buffer = np.zeros(S.CELLS + n_cells + log_size + 2 * ring_size)
     ints = buffer.view(np.int64)
 
     # how an event is placed
@@ -66,6 +67,10 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
     ints[S.LOG] = S.CELLS + n_cells
     ints[S.LOG_SIZE] = log_size
+    if config.slides:
+        ints[S.RING] = ints[S.LOG] + log_size
+        ints[S.RING_SIZE] = ring_size
+        ints[S.SPAN_US] = config.last_us or 0
     ints[S.INTERVAL_LO] = S.NO_INTERVAL
     ints[S.INTERVAL_HI] = -1
     return buffer

@@ -9,10 +9,11 @@ import numpy as np
 
 from async_tnt.base.checks import checked_time
 from async_tnt.base.running import Running, one_at_a_time
-from async_tnt.kernels.entry_points import prepare
+from async_tnt.kernels.entry_points import EntryPoint, prepare
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import LATE, REFUSED, absorb, absorb_one
 from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume
+from async_tnt.kernels.volume.sliding import advance
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
@@ -30,7 +31,8 @@ COUNTED = (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED)
 class TNTVolume:
     """The event volume of one open window, up to date after every event.
 
-    Windows lie end to end, from the start given to `open` or else from the first event. An event at
+    Windows lie end to end, from the start given to `open` or else from the first event. A window
+    that slides, with `last_events` or `last_us`, has no end: old events leave it. An event at
     or after the window's end closes the window; the volume then holds the window of that event. (To
     see every closed window, use `Processor`.) A window of `window_events` is closed by the event
     after its last one, and the next window begins with that event.
@@ -67,8 +69,9 @@ class TNTVolume:
         self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None
     ) -> None:
         check_regressor(config, regressor)
-        prepare(empty_volume, absorb, absorb_one)
+        prepare(*_kernels_of(config))
         self.config = config
+        self._duration_us = S.NEVER_US if config.slides else config.window_us
         self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
         self._read_one = SingleEventReader()
         self._buffer = new_state(config)
@@ -88,7 +91,7 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        prepare(empty_volume, absorb, absorb_one)  # perhaps in another process
+        prepare(*_kernels_of(self.config))  # perhaps in another process
         # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
@@ -110,7 +113,7 @@ class TNTVolume:
         start_us : start of the window, in microseconds.
         """
         start_us = checked_time("start_us", start_us)
-        self._empty(start_us, start_us + self.config.window_us)
+        self._empty(start_us, start_us + self._duration_us)
 
     @one_at_a_time
     def close(self) -> None:
@@ -122,7 +125,7 @@ class TNTVolume:
 
         `absorb` also stops at the window's end, whatever the limit is.
         """
-        self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
+        self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self._duration_us)
 
     def set_decided_from(self, start_us: int) -> None:
         """Count late events from `start_us` on as `dropped_decided` while this window is open."""
@@ -229,7 +232,7 @@ class TNTVolume:
         if self.is_open and self.config.window_events is None:
             # back to the window's start: windows lie end to end from the open window's start on
             start_us -= (t_us - self.start_us) % self.config.window_us
-        self._empty(start_us, start_us + self.config.window_us)
+        self._empty(start_us, start_us + self._duration_us)
         return n_closed
 
     @one_at_a_time
@@ -346,21 +349,55 @@ class TNTVolume:
             dropped_decided=decided,
         )
 
+    def advance(self, now_us: int) -> None:
+        """Let time pass, in a window of `last_us`: events that are too old by then leave it.
+
+        Nothing happens in other windows, or at a time before the newest event.
+        """
+        if self.config.last_us is not None:
+            advance.call(self._buffer, now_us)
+
     @property
     def n_events(self) -> int:
-        """Events in the open window so far."""
+        """Events in the open window so far; of a window that slides, those that are in it now."""
+        return int(self._ints[S.RING_N if self.config.slides else S.N])
+
+    @property
+    def n_arrived(self) -> int:
+        """Events that have come into the window since it opened, with those that have left it."""
         return int(self._ints[S.N])
+
+    @property
+    def n_left_early(self) -> int:
+        """Events that left a window of `last_us` early, as it was full, since the volume was made.
+
+        See `volume.config.MAX_LAST_EVENTS`.
+        """
+        return int(self._ints[S.LEFT_EARLY])
 
     def moment(self) -> tuple[int, int, int]:
         """The open window's start, the time of its newest event, and the number of its events.
 
-        The time is the start if the window has no events.
+        The time is the start if the window has no events. A window that slides begins with its
+        oldest event.
         """
+        if self.config.slides:
+            return self._sliding_moment()
         # One slice is read, because to read the three numbers one by one takes three times as long.
         slots = self._ints[S.START_US : S.NEWEST_US + 1].tolist()
         start_us = slots[0]
         n = slots[S.N - S.START_US]
         return start_us, slots[-1] if n else start_us, n
+
+    def _sliding_moment(self) -> tuple[int, int, int]:
+        """`moment` of a window that slides."""
+        ints = self._ints
+        n = int(ints[S.RING_N])
+        newest_us = int(ints[S.NEWEST_US])
+        if n == 0:
+            start_us = max(int(ints[S.START_US]), newest_us)
+            return start_us, start_us, 0
+        return int(ints[ints[S.RING] + 2 * ints[S.RING_FIRST]]), newest_us, n
 
     @property
     def n_received(self) -> int:
@@ -391,6 +428,12 @@ class TNTVolume:
     def newest_us(self) -> int:
         """Time of the newest event in the open window, in microseconds; -1 if it has none."""
         return int(self._ints[S.NEWEST_US])
+
+
+def _kernels_of(config: TNTConfig) -> tuple[EntryPoint, ...]:
+    """The kernels that a volume calls."""
+    kernels = (empty_volume, absorb, absorb_one)
+    return (*kernels, advance) if config.last_us is not None else kernels
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

@@ -61,6 +61,8 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints[S.SUM_Y] = 0
     ints[S.SUM_T] = 0
     ints[S.NEWEST_US] = -1
+    ints[S.RING_FIRST] = 0
+    ints[S.RING_N] = 0
     ints[S.DECIDED_FROM_US] = S.NEVER_US
     ints[S.CLOSED_KEPT] = ints[S.KEPT]
     ints[S.CLOSED_TAU_ZERO] = ints[S.TAU_ZERO]

@@ -5,7 +5,7 @@ arithmetic of one event takes. So all numbers that an event reads or writes shar
 buffer, which kernels access in two ways: as `buffer`, and as `ints`, a view of the same memory as
 int64. Each slot below belongs to one of them.
 
-    buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
+    buffer = [ parameters, sums, counts | scratch of a block | cells | log | ring of events ]
 
 Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins behind the ON bins. An
 event between the bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one
@@ -90,11 +90,19 @@ WITHOUT_GIL = 44  # not 0 while a kernel that has released Python's lock calls o
 CLOSED_KEPT = 45
 CLOSED_TAU_ZERO = 46
 
+# ints: windows that slide, see `sliding`
+RING = 47  # where the ring of events begins: time and 2 * cell + polarity of each; 0: no ring
+RING_SIZE = 48  # the most events of the ring
+RING_FIRST = 49  # place of the oldest event
+RING_N = 50  # events in the ring
+SPAN_US = 51  # the length of a window of a time; 0: a window of a number of events
+LEFT_EARLY = 52  # events that left because the ring was full, since the volume was made
+
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 # the events of a block: all rows together (24 kB) and an interval's cells fit in the first-level
 # cache
 BLOCK = 336
-NUM_X = 48  # buffer: displacement from the landmark
+NUM_X = 56  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
 Y_FRAC = DEN + BLOCK  # buffer: place in the volume
