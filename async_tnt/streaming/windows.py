@@ -93,7 +93,8 @@ class WindowScheduler:
                 if value is not None:
                     rule = f"must not be given with window_events={config.window_events}"
                     raise ParameterValueError(name, rule, short(value))
-        self.hop_us = _checked_hop(hop_us, config.window_us)
+        # a window that slides is the only one of its stream
+        self.hop_us = NEVER_US if config.slides else _checked_hop(hop_us, config.window_us)
         self.start_us = None if start_us is None else checked_time("start_us", start_us)
         self.regressor = regressor
         n_volumes = math.ceil(config.window_us / self.hop_us)

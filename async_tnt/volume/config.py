@@ -234,7 +234,7 @@ class TNTConfig:
         if not is_exact or self.grid != self.sensor:
             name = "last_us" if self.last_events is None else "last_events"
             rule = (
-                'needs representation="count", transform="none" and the sensor\'s own grid, because '
+                'needs representation="count", transform="none" and the sensor\'s own grid, as '
                 "only counts of events can be taken back exactly"
             )
             got = (

@@ -31,7 +31,7 @@ from async_tnt.kernels.volume.landmark import (
     displace_running,
 )
 from async_tnt.kernels.volume.records import COLUMNS, MAX_TIME_US
-from async_tnt.kernels.volume.sliding import IS_IN, slide
+from async_tnt.kernels.volume.sliding import slide, slide_one
 from async_tnt.kernels.volume.splat import add_event, combine_time, grid_of, place_event
 
 # What `absorb_one` returns. With ABSORBED and LATE, the event has been counted.
@@ -62,13 +62,9 @@ def absorb(buffer, t, x, y, p, first, last):
     """
     ints = buffer.view(np.int64)
     lock = release_gil((last - first >= LARGE) & (ints[S.WITHOUT_GIL] == 0))
-    while first < last and ints[S.RING] != 0:
-        time = t[first]
-        if time >= ints[S.LIMIT_US]:
-            last = first
-        else:
-            slide(buffer, ints, time, np.int64(x[first]), np.int64(y[first]), np.int64(p[first]))
-            first += 1
+    if ints[S.RING] != 0:
+        first = slide(buffer, ints, t, x, y, p, first, last)
+        last = first
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
@@ -181,7 +177,7 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
 def _absorb_event(buffer, ints, t, x, y, p):
     """Add one event before LIMIT_US. Returns False if it is late, and then only counts it."""
     if ints[S.RING] != 0:
-        return slide(buffer, ints, t, x, y, p) == IS_IN
+        return slide_one(buffer, ints, t, x, y, p)
     ints[S.RECEIVED] += 1
     dt = t - ints[S.START_US]
     if dt < 0:

@@ -1,0 +1,259 @@
+"""Windows that slide hold the events that the definition names, at every moment."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made import nasty_streams, random_events, random_model
+
+from async_tnt import Model, Processor, TNTConfig, TNTVolume, load_model, stream
+from async_tnt.kernels.volume import state as S
+from async_tnt.volume import config as config_module
+
+torch = pytest.importorskip("torch", reason="the reference needs torch")
+
+from tnt_reference import sliding  # noqa: E402
+
+SENSOR = (9, 8)
+WINDOWS = [{"last_events": n} for n in (1, 2, 7, 40)] + [{"last_us": t} for t in (1, 60, 400, 900)]
+POLARITIES = ("split", "signed", "unsigned")
+
+
+def config_of(sensor=SENSOR, **settings):
+    return TNTConfig(sensor=sensor, grid=sensor, representation="count", **settings)
+
+
+def held(events, config, now_us=None):
+    """The events of a window, from the definition."""
+    if config.last_events is not None:
+        chosen = sliding.last_events(events["t"], config.last_events)
+    else:
+        chosen = sliding.last_us(events["t"], config.last_us, now_us)
+    return events[chosen.numpy()]
+
+
+def image(events, config):
+    """How many events each pixel has."""
+    expected = np.zeros(config.shape)
+    channel = np.zeros(len(events), int)
+    sign = np.ones(len(events))
+    if config.polarity == "split":
+        channel = 1 - events["p"].astype(int)
+    if config.polarity == "signed":
+        sign = np.where(events["p"] == 1, 1, -1)
+    np.add.at(expected, (channel, events["y"], events["x"]), sign)
+    return expected
+
+
+@pytest.mark.parametrize("window", WINDOWS, ids=str)
+@pytest.mark.parametrize("polarity", POLARITIES)
+@given(data=st.data())
+def test_the_window_is_the_definition_at_every_event(window, polarity, data):
+    """However the stream is cut into packets. Events may be late."""
+    config = config_of(polarity=polarity, **window)
+    start_us = data.draw(st.sampled_from([0, 1_700_000_000_000_000]))
+    events = data.draw(nasty_streams(SENSOR, 1000, start_us, max_events=50))
+    sizes = data.draw(st.lists(st.integers(1, 20), min_size=1, max_size=5))
+    one = TNTVolume(config)
+    many = TNTVolume(config)
+    one.open(start_us)
+    many.open(start_us)
+    ends = {0}
+    while max(ends) < len(events):
+        ends.add(min(len(events), max(ends) + sizes[len(ends) % len(sizes)]))
+    last_end = 0
+    for n in range(1, len(events) + 1):
+        one.update_one(*events[n - 1].tolist())
+        inside = held(events[:n], config)
+        np.testing.assert_array_equal(one.array, image(inside, config))
+        assert one.n_events == len(inside)
+        if n in ends:
+            many.update(events[last_end:n])
+            last_end = n
+            np.testing.assert_array_equal(many.array, one.array)
+            assert (many.counts, many.moment()) == (one.counts, one.moment())
+            first_us = inside["t"].min() if config.last_us else inside["t"][0]
+            assert one.moment()[0] == first_us
+
+
+def test_a_window_of_a_number_of_events_by_hand():
+    volume = TNTVolume(config_of(last_events=2))
+    volume.open(0)
+    volume.update(([10, 20, 30], [1, 2, 2], [3, 4, 4], [1, 0, 0]))
+    assert volume.array[1, 4, 2] == 2 and volume.array.sum() == 2 == volume.n_events
+    assert volume.moment() == (20, 30, 2) and volume.n_arrived == 3
+    # an event that comes late is one of the last, too
+    volume.update_one(5, 0, 0, 1)
+    assert volume.array[0, 0, 0] == 1 == volume.array[1, 4, 2] and volume.moment() == (30, 30, 2)
+
+
+def test_a_window_of_a_time_by_hand():
+    """An event as old as the window has left it."""
+    volume = TNTVolume(config_of(last_us=20))
+    volume.open(0)
+    volume.update(([10, 20, 29], [1, 2, 3], [1, 2, 3], [1, 1, 1]))
+    assert volume.n_events == 3 and volume.moment() == (10, 29, 3)
+    volume.update_one(30, 4, 4, 1)
+    assert volume.array[0, 1, 1] == 0 and volume.moment() == (20, 30, 3)
+    # late: at 12 it is in the window, at 10 it is not
+    volume.update_one(12, 5, 5, 1)
+    volume.update_one(10, 6, 6, 1)
+    assert volume.array[0, 5, 5] == 1 and volume.array[0, 6, 6] == 0
+    assert volume.counts.dropped_late == 1 and volume.n_events == 4
+    # it leaves at 32, before the events that came earlier
+    volume.update_one(32, 0, 0, 0)
+    assert volume.array[0, 5, 5] == 0 and volume.array[0, 2, 2] == 1 and volume.n_events == 4
+    volume.advance(40)
+    assert volume.array[0, 2, 2] == 0 and volume.moment() == (29, 32, 3)
+    volume.advance(1_000)
+    assert volume.n_events == 0 == volume.array.sum() and volume.moment() == (32, 32, 0)
+
+
+def test_a_full_window_of_a_time_loses_its_oldest_events(monkeypatch):
+    monkeypatch.setattr(config_module, "MAX_LAST_EVENTS", 5)
+    monkeypatch.setattr("async_tnt.volume.state.MAX_LAST_EVENTS", 5)
+    config = config_of(last_us=1_000)
+    events = random_events(300, duration_us=20_000, sensor=SENSOR)
+    found = []
+    for size in (1, 7, 300):
+        volume = TNTVolume(config)
+        volume.open(0)
+        for first in range(0, 300, size):
+            volume.update(events[first : first + size])
+        found.append((volume.array.tobytes(), volume.n_left_early, volume.n_events))
+    assert found[0] == found[1] == found[2] and 0 < found[0][1] < 300 and found[0][2] == 5
+    np.testing.assert_array_equal(volume.array, image(events[-5:], config))
+
+
+def small_model(**window):
+    """A model of three classes that counts events of parts of the sensor."""
+    config = config_of(**window)
+    weight = np.random.default_rng(0).normal(size=(3, 2 * 8 * 9)).astype(np.float32)
+    layers = [
+        {"op": "flatten", "name": "flat", "inputs": ["volume"]},
+        {"op": "dense", "name": "fc", "inputs": ["flat"], "weights": {"weight": "w"}},
+    ]
+    return Model(config, {"w": weight}, ["a", "b", "c"], network={"classifier": layers})
+
+
+def logits_of(events, model):
+    return model.weights["w"].astype(np.float64) @ image(events, model.config).reshape(-1)
+
+
+@pytest.mark.parametrize("window", [{"last_events": 25}, {"last_us": 300}], ids=str)
+def test_decisions_are_about_the_window_as_it_is_then(window):
+    model = small_model(**window)
+    events = random_events(200, duration_us=2_000, sensor=SENSOR, start_us=70)
+    decisions = list(stream(events, model, every_events=3))
+    *regular, end = decisions
+    assert [d.trigger for d in regular] == ["every_events"] * (len(events) // 3)
+    assert end.trigger == "end" and not any(d.complete for d in decisions)
+    for k, decision in enumerate(regular, 1):
+        inside = held(events[: 3 * k], model.config)
+        np.testing.assert_allclose(decision.logits, logits_of(inside, model), atol=1e-4)
+        assert decision.events == len(inside)
+        assert decision.time_us == events["t"][3 * k - 1]
+        assert decision.window_start_us == inside["t"][0]
+
+
+def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then():
+    """Also those that leave without a new event are gone."""
+    model = small_model(last_us=300)
+    events = random_events(40, duration_us=6_000, sensor=SENSOR)
+    decisions = list(stream(events, model, every_us=250, start_us=0))
+    moments = np.arange(250, events["t"][-1] + 1, 250)
+    # a decision at a moment if events came since the last one, made when a later event comes
+    expected = []
+    n_before = 0
+    for moment in moments:
+        n = int(np.searchsorted(events["t"], moment))
+        if n > n_before and n < len(events):
+            inside = held(events[:n], model.config, int(moment))
+            expected.append((len(inside), logits_of(inside, model)))
+            n_before = n
+    assert [d.events for d in decisions[:-1]] == [n for n, _ in expected]
+    for decision, (_, logits) in zip(decisions, expected, strict=False):
+        np.testing.assert_allclose(decision.logits, logits, atol=1e-4)
+
+
+def test_fire_at_a_later_time():
+    model = small_model(last_us=300)
+    processor = Processor(model)
+    processor.push(([10, 100, 200], [1, 2, 3], [1, 2, 3], [1, 1, 1]))
+    assert processor.fire().events == 3 == processor.fire(at_us=100).events
+    assert processor.fire(at_us=400).events == 1
+    assert processor.fire(at_us=500).events == 0
+    # events that have left do not come back
+    assert processor.fire().events == 0 and processor.counts.received == 3
+    with pytest.raises(TypeError, match="`at_us` must be"):
+        processor.fire(at_us="now")
+
+
+def test_the_log_and_the_network_follow_events_that_leave():
+    """Thousands of events without a read, then single ones."""
+    config = config_of(sensor=(40, 30), last_events=500)
+    model = random_model(
+        config.replace(sensor=(40, 32), grid=(40, 32)), classes=3, widths=(3, 4, 5)
+    )
+    events = random_events(6_000, sensor=(40, 32))
+    slow = Processor(model)
+    quick = Processor(model, every_events=1)
+    quick.push(events[:5_000])
+    for n in range(5_000, 5_300):
+        (decision,) = quick.push(events[n : n + 1])
+        slow.reset()
+        slow.push(events[max(0, n - 600) : n + 1])
+        assert decision.logits.tobytes() == slow.fire().logits.tobytes()
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"last_events": 0}, "`last_events` must be"),
+        ({"last_us": -1}, "`last_us` must be"),
+        ({"last_events": 5, "last_us": 7}, "`last_us` must not be given with `last_events`: a wi"),
+        ({"window_us": 5, "last_us": 7}, "`last_us` must not be given with `window_us`: a window"),
+        ({"last_us": 7, "representation": "volume"}, '`last_us` needs representation="count", tra'),
+        ({"last_us": 7, "grid": (5, 5)}, '`last_us` needs representation="count", transform="non'),
+        ({"last_events": 7, "transform": "tnt"}, '`last_events` needs representation="count", tra'),
+        ({"last_events": 7, "representation": "time_surface"}, "`last_events` needs representati"),
+    ],
+)
+def test_what_cannot_slide_is_refused(settings, message):
+    values = {"sensor": SENSOR, "grid": SENSOR, "representation": "count"} | settings
+    with pytest.raises((ValueError, TypeError), match=f"^{re.escape(message)}"):
+        TNTConfig(**values)
+
+
+def test_settings_for_windows_that_end_are_refused():
+    model = small_model(last_us=300)
+    with pytest.raises(ValueError, match="`hop_us` must not be given with a window that slides"):
+        Processor(model, hop_us=100)
+    with pytest.raises(ValueError, match="`confidence` closes windows, and windows of `last_eve"):
+        Processor(model, confidence=0.9)
+    processor = Processor(model)
+    with pytest.raises(ValueError, match="`confidence` closes windows"):
+        processor.confidence = 0.9
+
+
+def test_configurations_as_data(tmp_path):
+    """Files of windows that end can be read by earlier releases: they have no new names."""
+    for window in ({"last_events": 5}, {"last_us": 7}):
+        config = config_of(**window)
+        assert TNTConfig.from_dict(config.to_dict()) == config
+        assert "window_us" not in config.to_dict()
+        model = small_model(**window)
+        assert load_model(model.save(tmp_path / "m.safetensors")).config == model.config
+        assert config.replace(**{name: None for name in window}) == config_of()
+    assert not {"last_events", "last_us"} & set(TNTConfig().to_dict())
+    assert config_of(last_us=7).replace(last_us=9).last_us == 9
+    assert config_of().replace(last_us=9) == config_of(last_us=9)
+
+
+def test_the_ring_lies_behind_the_log():
+    volume = TNTVolume(config_of(last_events=3))
+    ints = volume.state().view(np.int64)
+    assert ints[S.RING] == ints[S.LOG] + ints[S.LOG_SIZE]
+    assert volume.state().size == ints[S.RING] + 2 * 3
