@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.checking.comparison import PACKET_SIZES, Comparison
+from async_tnt.checking.sliding import check_sliding
 from async_tnt.checking.spikes import check_spikes
 from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.networks.models.compiled_network import compiled_network_of
@@ -73,7 +74,7 @@ def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
 def n_steps(model: Model) -> int:
     """In how many steps `check_recording` compares a recording."""
     # each configuration, and then the network
-    return 1 if model.is_spiking else len(configurations(model.config)) + 1
+    return 1 if model.is_spiking or model.config.slides else len(configurations(model.config)) + 1
 
 
 def check_recording(
@@ -98,6 +99,10 @@ def check_recording(
     """
     if model.is_spiking:
         comparisons = check_spikes(events, model, prefixes=prefixes, start_us=start_us)
+        on_progress()
+        return comparisons
+    if model.config.slides:
+        comparisons = check_sliding(events, model, prefixes=prefixes)
         on_progress()
         return comparisons
     comparisons = []

@@ -282,14 +282,18 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
         yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
 
     grid = f"{format_size(config.sensor)}, grid {format_size(config.grid)}"
-    if config.window_events is None:
+    if config.last_events is not None:
+        length = f"the last {config.last_events:,} events"
+    elif config.last_us is not None:
+        length = f"the last {config.last_us:,} us"
+    elif config.window_events is None:
         length = f"{config.window_us:,} us"
     else:
         length = f"{config.window_events:,} events"
     yield f"  sensor     {grid}, windows of {length}"
 
     # these fields are in the line above
-    named_fields = ("sensor", "grid", "window_us", "window_events")
+    named_fields = ("sensor", "grid", "window_us", "window_events", "last_events", "last_us")
     settings = [
         f"{key} {value}"
         for key, value in config.to_dict().items()

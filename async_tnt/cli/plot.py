@@ -133,6 +133,8 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     name = args.model or DEFAULT_MODEL
     model = model_of(name)
+    if model.config.slides:
+        raise ValueError(f"{name}: windows that slide have no end at which they could be drawn")
     window_events = model.config.window_events
     if window_events is not None:
         raise ValueError(

@@ -228,6 +228,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView[AnswerT]"], Generic
 
         The array is valid until the next call.
         """
+        if self.processor.config.slides:
+            return self.processor.volume()
         self._raw.reset()
         self._raw.open(answer.window_start_us)
         if answer.events:
