@@ -46,6 +46,7 @@ QUICK = {
     "pixel_outputs": "--quick --json {out}/x.json",
     "recipes": "--nmnist {nmnist} --sets nmnist --candidates counts --out {out}",
     "starts": "--quick",
+    "sliding": "--quick --json {out}/x.json",
     "sustained": "--quick",
     "thesis_table": "--smoke --nmnist {nmnist} --mnist {mnist} --images 2 --out {out}",
     "threads": "--quick",

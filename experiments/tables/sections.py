@@ -12,6 +12,7 @@ from experiments.tables import (
     differences,
     flow,
     published,
+    sliding,
     streams,
     thesis,
 )
@@ -36,6 +37,7 @@ from experiments.tables.texts import (
     PIXEL_OUTPUTS,
     RECIPE,
     SIMULATED,
+    SLIDING,
     STARTS,
     SUSTAINED,
     THESIS,
@@ -395,6 +397,16 @@ SECTIONS = (
             flow.flow_planes: "The settings of the plane fits",
             flow.flow_times: "From an event to the flow on 346x260",
             flow.flow_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Windows that slide",
+        text=SLIDING,
+        command="experiments.sliding --json experiments/results/sliding.json",
+        tables={
+            sliding.sliding_events: "An event into an image of counts, in packets of 1,300",
+            sliding.sliding_decisions: "A decision after every event, RoShamBo's network",
+            sliding.sliding_machine: "Machine",
         },
     ),
     Section(

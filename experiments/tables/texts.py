@@ -228,6 +228,15 @@ pass the same to the bit (onnxruntime and torch: within 1e-4 of the largest). A 
 over from another one shares no computed place with it: its first event costs more than a whole
 pass."""
 
+SLIDING = """\
+Images of counts, split by polarity, of a spot that moves; packets and windows take turns. The
+decisions are those of RoShamBo's network (Lungu et al. 2017) with random weights on 64x64 pixels,
+with about 5,000 events in the window, 1,000 decisions of each kind by turns. Each sliding image is
+verified to hold exactly the last 5,000 events, and each of these decisions to have the bits of the
+whole network. An event that comes and one that leaves change two places, so a growing window with
+two new events a decision does the same work. `window_events` computes its image again from all
+events."""
+
 THREADS = """\
 Two streams in two threads of one process: the time of one after the other, divided by that of
 both at once; quartiles lie up to .1 away."""
