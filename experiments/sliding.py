@@ -86,7 +86,7 @@ def config_of(sensor: tuple[int, int], polarity: str = "split", **window: Any) -
     )
 
 
-WINDOWS: dict[str, dict[str, int]] = {
+WINDOWS: dict[str, dict[str, Any]] = {
     "growing": {"window_us": 3_600_000_000},
     "last events": {"last_events": N_LAST},
     "last microseconds": {"last_us": LAST_US},
@@ -99,7 +99,7 @@ def volume_times(sensor: tuple[int, int], rounds: int, n_events: int) -> dict[st
     events = events_of(n_events, sensor, 0)
     packets = [events[first : first + PACKET].copy() for first in range(0, n_events, PACKET)]
 
-    def case(window: dict[str, int]) -> Callable[[], float]:
+    def case(window: dict[str, Any]) -> Callable[[], float]:
         volume = TNTVolume(config_of(sensor, **window))
 
         def run() -> float:
@@ -170,9 +170,7 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
                     image = reference_counts(events[: pushed[name]], sliding.config)
                     is_held = np.array_equal(processor.volume(), image)
                     if not is_held or whole(image).tobytes() != decision.logits.tobytes():
-                        raise WorkDiffers(
-                            "the decision is not the whole network's about its window"
-                        )
+                        raise WorkDiffers("a decision is not that of the whole network")
             bar.update()
     two = np.array(us["growing, 2 new events"])
     return {
