@@ -12,6 +12,7 @@ from experiments.tables import (
     differences,
     flow,
     published,
+    spiking,
     streams,
     thesis,
 )
@@ -36,6 +37,7 @@ from experiments.tables.texts import (
     PIXEL_OUTPUTS,
     RECIPE,
     SIMULATED,
+    SPIKING,
     STARTS,
     SUSTAINED,
     THESIS,
@@ -395,6 +397,27 @@ SECTIONS = (
             flow.flow_planes: "The settings of the plane fits",
             flow.flow_times: "From an event to the flow on 346x260",
             flow.flow_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Spiking networks",
+        text=SPIKING,
+        command=(
+            "experiments.spiking --json experiments/results/spiking.json --picture "
+            "docs/images/spiking_bins.png"
+        ),
+        picture="spiking_bins",
+        tables={
+            spiking.spiking_accuracy: "Accuracy on N-MNIST",
+            spiking.spiking_agreement: (
+                "Spike for spike beside simulators, one event in each time step"
+            ),
+            spiking.spiking_bins: "Accuracy of sinabs by the width of a time step",
+            spiking.spiking_work: "Work of an event, by layer",
+            spiking.spiking_times: (
+                "Processor time of an event or of a time step with one event, and of a recording"
+            ),
+            spiking.spiking_machine: "Machine",
         },
     ),
     Section(
