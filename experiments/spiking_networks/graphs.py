@@ -151,15 +151,15 @@ def random_small_graph(kind: Kind, step_s: float, rng: np.random.Generator) -> A
     """
     import nir
 
-    def weights(most_spikes: int | None, *shape: int) -> np.ndarray:
+    def weights(n_inputs: int, most_spikes: int, *shape: int) -> np.ndarray:
         """Weights with which at most 0.7 arrive at a neuron in one step.
 
-        most_spikes : the most spikes of an input in one step. Each input may have so many. None: of
-            all inputs, one has one spike.
+        n_inputs, most_spikes : how many inputs of a neuron have spikes in one step, and how many
+            spikes each has, at most.
         """
         drawn = rng.uniform(-0.5, 1.0, shape)
-        by_neuron = np.maximum(drawn, 0).reshape(len(drawn), -1)
-        most = by_neuron.max() if most_spikes is None else most_spikes * by_neuron.sum(axis=1).max()
+        by_neuron = np.sort(np.maximum(drawn, 0).reshape(len(drawn), -1), axis=1)
+        most = most_spikes * by_neuron[:, -n_inputs:].sum(axis=1).max()
         return (0.7 / most * drawn).astype(np.float32)
 
     def neurons(*shape: int) -> Any:
@@ -173,13 +173,14 @@ def random_small_graph(kind: Kind, step_s: float, rng: np.random.Generator) -> A
         return nir.LIF(tau, (tau / step_s).astype(np.float32), zeros, threshold, zeros)
 
     return _row(
-        nir.Conv2d(SENSOR, weights(None, 6, 2, 5, 5), 2, 1, 1, 1, np.zeros(6)),
+        nir.Conv2d(SENSOR, weights(1, 1, 6, 2, 5, 5), 2, 1, 1, 1, np.zeros(6)),
         neurons(6, 16, 16),
         _sum_pool(),
-        nir.Conv2d((8, 8), weights(4, 8, 6, 3, 3), 1, 1, 1, 1, np.zeros(8)),
+        nir.Conv2d((8, 8), weights(54, 4, 8, 6, 3, 3), 1, 1, 1, 1, np.zeros(8)),
         neurons(8, 8, 8),
         _flatten((8, 8, 8)),
-        nir.Linear(weights(1, 10, 512)),
+        # an event makes few of the 512 neurons fire
+        nir.Linear(weights(32, 1, 10, 512)),
         neurons(10),
     )
 
