@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
     from async_tnt.networks.models.compiled_network import CompiledNetwork
     from async_tnt.networks.models.model import Model
+    from async_tnt.networks.models.spiking_volume import SpikingVolume
     from async_tnt.sources.files.playback import replay
     from async_tnt.sources.files.recording import open_recording
     from async_tnt.sources.pixels.pixel_filter import PixelFilter
@@ -50,6 +51,7 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "networks.models.compiled_network": "CompiledNetwork",
             "networks.loading": "bundled_models load_model",
             "networks.models.model": "Model",
+            "networks.models.spiking_volume": "SpikingVolume",
             "streaming.processor": "Processor",
             "sources.queues.background_reader": "BackgroundReader",
             "sources.files.recording": "open_recording",
@@ -76,6 +78,7 @@ __all__ = [
     "PacketQueue",
     "PixelFilter",
     "Processor",
+    "SpikingVolume",
     "TNTConfig",
     "TNTVolume",
     "WindowVolume",

@@ -19,14 +19,14 @@ The comparison needs torch (extra `reference`), which is imported only when some
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from async_tnt.checking.comparison import PACKET_SIZES, Comparison
+from async_tnt.checking.spikes import check_spikes
 from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.networks.models.compiled_network import compiled_network_of
 from async_tnt.networks.models.model import Model
@@ -39,8 +39,6 @@ from async_tnt.volume.config import LANDMARKS, TIME_IMAGES, TNTConfig
 from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
-PACKET_SIZES = (1, 2, 7, 100, 0)
-"""The packet sizes that are compared, in events. 0 stands for all events at once."""
 VOLUME_BOUND = 1e-6
 """Largest difference of two volumes, as a share of the largest cell."""
 LEAST_CELL = 1e-9
@@ -53,44 +51,6 @@ REGRESSED_LANDMARK_BOUND = 1e-4
 comes from float32 convolutions."""
 OUTPUT_BOUND = 1e-4
 """Largest difference of two logits, or of two numbers of a raw output."""
-
-
-@dataclass
-class Comparison:
-    """The comparisons for one promise and one configuration: the worst difference, and its bound.
-
-    Parameters
-    ----------
-    what : the compared values, in words.
-    config : name of the configuration.
-    bound : largest difference that is allowed.
-    n : number of comparisons so far.
-    worst : largest difference so far.
-    """
-
-    what: str
-    config: str
-    bound: float
-    n: int = 0
-    worst: float = 0.0
-
-    def add(self, difference: float) -> None:
-        """Add one comparison with this difference."""
-        self.include(Comparison(self.what, self.config, self.bound, 1, float(difference)))
-
-    def include(self, other: Comparison) -> None:
-        """Add the comparisons of another recording."""
-        self.n += other.n
-        # A nan must be taken over and then stay, so that the comparison fails. `not <=` is true
-        # for a nan, but `>` would be false.
-        is_worse = not other.worst <= self.worst
-        if is_worse and not math.isnan(self.worst):
-            self.worst = other.worst
-
-    @property
-    def holds(self) -> bool:
-        """Whether something was compared, and the worst difference is within the bound."""
-        return self.n > 0 and self.worst <= self.bound
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
@@ -108,6 +68,12 @@ def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
     configs["line, flow removed"] = tnt.replace(landmark="line", remove_flow=True)
     configs["no transform"] = tnt.replace(landmark="center", transform="none")
     return configs
+
+
+def n_steps(model: Model) -> int:
+    """In how many steps `check_recording` compares a recording."""
+    # each configuration, and then the network
+    return 1 if model.is_spiking else len(configurations(model.config)) + 1
 
 
 def check_recording(
@@ -128,8 +94,12 @@ def check_recording(
         evenly spread, and the last prefix is one of them. None: all prefixes, which takes minutes
         for some thousand events.
     start_us : start of the first window; the first event by default.
-    on_progress : called after every configuration.
+    on_progress : called after each of `n_steps` steps.
     """
+    if model.is_spiking:
+        comparisons = check_spikes(events, model, prefixes=prefixes, start_us=start_us)
+        on_progress()
+        return comparisons
     comparisons = []
     for name, config in configurations(model.config).items():
         regressor = CompiledRegressor(model) if config.needs_regressor else None

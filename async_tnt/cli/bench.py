@@ -21,6 +21,7 @@ from async_tnt.kernels.shipped import state_of_kernels
 from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.networks.models.compiled_network import compiled_network_of
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.spiking_volume import SpikingVolume
 from async_tnt.sources.files.nmnist import SENSOR as SAMPLE_SENSOR
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.streaming.compile_ahead import warmup
@@ -85,13 +86,17 @@ def main(args: argparse.Namespace) -> int:
         for n_new in NEW_EVENTS:
             report["us_a_decision"][str(n_new)] = _spread(_decision_us(model, recordings, n_new))
             bar.update()
-        report["us_a_whole_pass"] = _spread(_whole_pass_us(model, recordings))
+        if model.is_spiking:
+            report |= _spiking_report(model, recordings)
+        else:
+            report["us_a_whole_pass"] = _spread(_whole_pass_us(model, recordings))
         bar.update()
         rates = _decisions_a_second(model, [events[:N_EVENTS] for events in recordings])
         report["decisions_a_second"] = _spread(rates)
 
-    work = model.work_of_one_event
-    report["multiplications"] = {"one_event": work.touched, "whole_pass": work.whole}
+    if not model.is_spiking:
+        work = model.work_of_one_event
+        report["multiplications"] = {"one_event": work.touched, "whole_pass": work.whole}
     report["machine"] = machine()
     report["kernels"] = state_of_kernels()
     report["model"] = {
@@ -104,7 +109,8 @@ def main(args: argparse.Namespace) -> int:
     if args.json:
         say(json.dumps(report))
     else:
-        say(*_lines(report), f"one event {reach_text(work)}")
+        last = _spikes_text(report) if model.is_spiking else f"one event {reach_text(work)}"
+        say(*_lines(report), last)
     return 0
 
 
@@ -137,7 +143,7 @@ def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
     """
     config = model.config
     regressor = CompiledRegressor(model) if config.needs_regressor else None
-    volume = TNTVolume(config, regressor=regressor)
+    volume = SpikingVolume(model) if model.is_spiking else TNTVolume(config, regressor=regressor)
     windows = []
     for events in recordings:
         in_window = events["t"] < events["t"][0] + config.window_us
@@ -192,6 +198,32 @@ def _whole_pass_us(model: Model, recordings: list[np.ndarray]) -> Iterator[float
             started = time.perf_counter()
             network(volume)
             yield 1e6 * (time.perf_counter() - started)
+
+
+def _spiking_report(model: Model, recordings: list[np.ndarray]) -> dict[str, Any]:
+    """How many spikes and additions of weights an event causes, by layer, on average."""
+    volume = SpikingVolume(model)
+    spikes = dict.fromkeys(volume.network.layers, 0)
+    additions = dict.fromkeys(volume.network.layers, 0)
+    n_events = 0
+    for events in recordings:
+        volume.open(int(events["t"][0]))
+        volume.update(events[events["t"] < events["t"][0] + model.config.window_us])
+        n_events += volume.n_events
+        for layer in spikes:
+            spikes[layer] += volume.spikes(layer)
+            additions[layer] += volume.additions(layer)
+    return {
+        "spikes_an_event": {layer: n / n_events for layer, n in spikes.items()},
+        "additions_an_event": {layer: n / n_events for layer, n in additions.items()},
+    }
+
+
+def _spikes_text(report: dict[str, Any]) -> str:
+    """Spikes and additions of an event, in words."""
+    by_layer = [f"{layer} {n:.2f}" for layer, n in report["spikes_an_event"].items()]
+    additions = sum(report["additions_an_event"].values())
+    return f"one event causes spikes in layer {', '.join(by_layer)}; {additions:,.0f} weights added"
 
 
 def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
@@ -264,11 +296,13 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
     yield f"model {report['model']['name']}: {pixels}; {report['events_from']}"
 
     yield f"{'':44}{'median':>10}  quartiles"
-    rows = {"ns an event into the volume": report["ns_an_event"]}
+    where = "the network" if "spikes_an_event" in report else "the volume"
+    rows = {f"ns an event into {where}": report["ns_an_event"]}
     for n_new, spread in report["us_a_decision"].items():
         events = "event" if n_new == "1" else "events"
         rows[f"us a decision, {int(n_new):,} new {events}"] = spread
-    rows["us a pass through the whole network"] = report["us_a_whole_pass"]
+    if "us_a_whole_pass" in report:
+        rows["us a pass through the whole network"] = report["us_a_whole_pass"]
     rows["decisions a second, one after every event"] = report["decisions_a_second"]
     for title, spread in rows.items():
         n_decimals = 0 if spread["median"] >= 1000 else 1

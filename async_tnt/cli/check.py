@@ -8,7 +8,8 @@ from pathlib import Path
 
 from async_tnt.base.extras import needs_extra
 from async_tnt.base.progress import progress
-from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
+from async_tnt.checking.comparison import PACKET_SIZES, Comparison
+from async_tnt.checking.equality import check_recording, n_steps
 from async_tnt.cli.options import (
     add_files,
     add_reading,
@@ -37,6 +38,9 @@ Compare the stream with the batch reference in torch, on recordings. For every l
     exceeds 1), and the class is the same. So do raw outputs.
   - A decision after every event, refreshed from the one before, has the bits of a pass
     through the whole network.
+
+Of a spiking model, all spikes and membranes are compared with a reference that computes
+each neuron at each event, at prefixes and for packets of these sizes.
 
 A model with landmark "regressor" is also checked with that landmark. It comes from
 float32 convolutions and may differ by 1e-4 pixels. The volume equals the reference's to
@@ -78,9 +82,7 @@ def main(args: argparse.Namespace) -> int:
         for path in paths:
             open_recording(path, sensor=model.config.sensor)
     results: dict[Path, list[Comparison]] = {}
-    # `check_recording` reports each configuration, and then the network
-    n_steps = len(configurations(model.config)) + 1
-    with progress(len(paths) * n_steps, "checking") as bar:
+    with progress(len(paths) * n_steps(model), "checking") as bar:
         for path in paths:
             recording = open_recording(path, sensor=model.config.sensor, **reading_of(args))
             check_sensor(

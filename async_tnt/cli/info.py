@@ -210,10 +210,19 @@ def _model_report(model: Model) -> dict[str, Any]:
             name: [layer["op"] for layer in layers] for name, layers in model.network.items()
         },
         "weights": sum(weights.size for weights in model.weights.values()),
-        "multiplications": model.multiplications,
-        "multiplications_of_one_event": model.work_of_one_event.touched,
+        **_cost_report(model),
         "map": None if model.places is None else model.logits_shape[1:],
         "record": model.record,
+    }
+
+
+def _cost_report(model: Model) -> dict[str, int]:
+    """The size of a model's work, as --json prints it."""
+    if model.is_spiking:
+        return {"neurons": model.n_neurons}
+    return {
+        "multiplications": model.multiplications,
+        "multiplications_of_one_event": model.work_of_one_event.touched,
     }
 
 
@@ -246,9 +255,13 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
 
     layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in report["layers"].items())
     yield f"  network    {layers}"
-    multiplications = f"{report['multiplications']:,} multiplications a complete window"
-    yield f"  cost       {report['weights']:,} weights, {multiplications}"
-    yield f"  one event  {reach_text(model.work_of_one_event)}"
+    if model.is_spiking:
+        yield f"  cost       {report['weights']:,} weights, {report['neurons']:,} neurons"
+        yield "  one event  goes through all layers: `async-tnt bench` counts its spikes"
+    else:
+        multiplications = f"{report['multiplications']:,} multiplications a complete window"
+        yield f"  cost       {report['weights']:,} weights, {multiplications}"
+        yield f"  one event  {reach_text(model.work_of_one_event)}"
     if model.places is not None:
         yield f"  decides    objects, at {report['map'][1]}x{report['map'][0]} places of the sensor"
     for key, value in model.record.items():

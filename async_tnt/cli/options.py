@@ -102,7 +102,17 @@ def sample_or_path(name: str | Path) -> Path:
 
 
 def model_of(name: str) -> Model:
-    """Load the model of this name or path. An .onnx file is refused with a ValueError."""
+    """Load the model of this name or path.
+
+    Raises
+    ------
+    ValueError : it is an .onnx file, or a .nir graph that says not all.
+    """
+    if Path(name).suffix.lower() == ".nir":
+        raise ValueError(
+            f"{name}: a NIR graph leaves open how neurons are reset: `async-tnt export {name} "
+            "--reset subtract --out FILE.safetensors` makes a model of it"
+        )
     if Path(name).suffix.lower() == ".onnx":
         raise ValueError(
             f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS_TEXT} is "

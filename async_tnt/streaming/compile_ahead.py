@@ -46,7 +46,8 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
     elif isinstance(model, Model):
         _make_stream(model.config)
         Processor(model, every_events=1, late="drop")
-        compiled_network_of(model)(np.zeros(model.config.shape, np.float32))
+        if not model.is_spiking:
+            compiled_network_of(model)(np.zeros(model.config.shape, np.float32))
     elif isinstance(model, TNTConfig):
         _make_stream(model)
     else:

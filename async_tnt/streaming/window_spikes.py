@@ -37,16 +37,16 @@ class WindowSpikes:
     classifier : the network, which stands where other streams have a classifier.
     classes : class names.
     decides_in_stretches : False.
-    answers_are_views : False, because each answer has arrays of its own.
+    answers_are_views : whether answers are `Output` values.
     """
 
     decides_in_stretches = False
-    answers_are_views = False
 
     def __init__(
         self, network: SpikingNetwork, classes: tuple[str, ...], confidence: float | None
     ) -> None:
         self.classes: tuple[str, ...] | None = classes
+        self.answers_are_views = not classes
         self.classifier = network
         self.check_confidence(confidence)
         if classes and len(classes) != network.n_classes:

@@ -21,8 +21,8 @@ BATCHES = 4
 BATCH = 8
 """Number of inputs in each of these batches."""
 
-ACTIVE = 0.2
-"""Share of places that have a value in these inputs."""
+ACTIVE = 0.4
+"""Largest share of places that have a value in these inputs."""
 
 
 def build(entry: Entry, seed: int = 0) -> nn.Module:
@@ -58,10 +58,17 @@ def calibrate(module: nn.Module, shape: tuple[int, int, int], seed: int) -> None
 
 
 def sparse_inputs(n: int, shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
-    """Random inputs, most of whose places are 0, as volumes of events are."""
+    """Random inputs, most of whose places are 0, as volumes of events are.
+
+    Their sizes differ, from a tenth to a hundred, and so do their signs and the shares of their
+    active places. Otherwise an input unlike these makes numbers grow from layer to layer.
+    """
     values = torch.rand((n, *shape), generator=generator)
-    is_active = torch.rand((n, 1, *shape[1:]), generator=generator) < ACTIVE
-    return values * is_active
+    sizes = 10 ** (3 * torch.rand((n, 1, 1, 1), generator=generator) - 1)
+    signs = torch.sign(torch.rand((n, 1, *shape[1:]), generator=generator) - 0.3)
+    active = ACTIVE * torch.rand((n, 1, 1, 1), generator=generator)
+    is_active = torch.rand((n, 1, *shape[1:]), generator=generator) < active
+    return values * sizes * signs * is_active
 
 
 def _from_papers(entry: Entry) -> nn.Module:

@@ -332,13 +332,31 @@ class _Builder:
     def join(self) -> None:
         before = self.value
         self.activation()
-        if self.pick(True, False):
+        if len(self.shape) == 3 and self.chance(0.15):
+            self.add_stacked(before)
+        elif self.pick(True, False):
             self.node(self.pick("Add", "Sum", "Sub"), before)
         elif self.pick(True, False):
             self.node("Tanh")
             self.node("Mul", before)
         else:
             self.node("Concat", before, axis=self.pick(1, 1, 1, -3, 2))
+
+    def add_stacked(self, other: str) -> None:
+        """The sum of two maps, which are stacked before."""
+        after = self.value
+        stacked = []
+        for self.value in (other, after):
+            self.along_first_axis("Unsqueeze")
+            stacked.append(self.value)
+        self.node("Concat", stacked[0], axis=0)
+        self.along_first_axis("ReduceSum", keepdims=0)
+
+    def along_first_axis(self, op: str, **attributes: int) -> None:
+        if self.opset < 13:
+            self.node(op, axes=[0], **attributes)
+        else:
+            self.node(op, self.constant(np.int64([0])), **attributes)
 
     def flatten(self) -> None:
         choice = self.pick("pool", "mean", "flatten", "reshape")
@@ -510,7 +528,7 @@ GAPS = {
     "LayerNormalization": lambda of: of.get("axis", -1) != -1,
     "Resize": _grows_otherwise,
     "Upsample": _grows_otherwise,
-    "Concat": lambda of: of.get("axis", 0) not in (1, -3),
+    "Concat": lambda of: of.get("axis", 0) not in ((1, -3) if len(of.source) < 5 else (0,)),
     "Flatten": lambda of: of.get("axis", 1) != 1,
     "Reshape": _reshapes_otherwise,
     "HardSigmoid": lambda of: "alpha" not in of.attributes,
@@ -588,6 +606,7 @@ def _has_other_constants(of: _Of) -> bool:
         "Gather",
         "Split",
         "ReduceSum",
+        "Unsqueeze",
     )
     if of.op not in whole and any(constant.dtype != np.float32 for constant in of.constants):
         return True

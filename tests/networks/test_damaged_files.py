@@ -123,8 +123,8 @@ def test_anything_under_a_valid_checksum(files, data):
 
 
 DAMAGED = "holds a damaged model: "
-FORMATS = "`format` must be 'async_tnt 2' or 'async_tnt 3', got "
-FOREIGN = f"is not a model that this release can read: {FORMATS}"
+FORMATS = "`format` must be 'async_tnt 2' or 'async_tnt 3'"
+FOREIGN = f"is not a model that this release can read: {FORMATS} or 'async_tnt 4', got "
 
 
 def model_file(path, **changes):
@@ -164,11 +164,11 @@ def onnx_file(path, **changes):
             {"sha256": 64 * "0"},
             DAMAGED + "its checksum differs; copy or download it again",
         ),
-        (model_file, {"format": "async_tnt 4"}, FOREIGN + "'async_tnt 4'"),
+        (model_file, {"format": "async_tnt 5"}, FOREIGN + "'async_tnt 5'"),
         (
             onnx_file,
             {"format": "async_tnt 4"},
-            f"is damaged: metadata {FORMATS}'async_tnt 4",
+            f"is damaged: metadata {FORMATS}, got 'async_tnt 4",
         ),
         (onnx_file, {"sha256": None}, "is damaged: no sha256 in its metadata"),
         (onnx_file, {"config": '{"a\\nb": 1}'}, "is damaged: unknown configuration a b"),

@@ -615,3 +615,46 @@ def test_a_damaged_configuration_is_one_line(tmp_path, config_file, program, con
     config_file.write_text(content)
     code, _, err = program("run", recording, "--model", path, "--config", config_file)
     assert code == 2 and err.count("\n") == 1 and message in err
+
+
+def test_weights_that_a_file_standardizes_are_computed(tmp_path):
+    """The weights w of a dense layer become (w - mean) / 2, in nodes that read constants alone."""
+    nodes = [
+        node("Flatten", "x", "f"),
+        node("ReduceMean", "w", "m", axes=[0, 1]),
+        node("Sub", "w m", "c"),
+        node("Shape", "w", "s"),
+        node("Gather", "s one", "n"),
+        node("Cast", "n", "three", to=onnx.TensorProto.FLOAT),
+        node("Sub", "three one_float", "two"),
+        node("Div", "c two", "half"),
+        node("MatMul", "f half"),
+    ]
+    w = np.arange(180, dtype=np.float32).reshape(60, 3)
+    constants = {"w": w, "one": np.int64(1), "one_float": np.float32(1)}
+    model = load_model(write_onnx(tmp_path / "m.onnx", nodes, constants), config=SMALL)
+    (weight,) = model.weights.values()
+    np.testing.assert_allclose(weight, ((w - w.mean()) / 2).T, rtol=1e-6)
+
+
+def test_large_weights_are_not_computed_for_ever(tmp_path, monkeypatch):
+    from async_tnt.networks.onnx import constant_folding
+
+    monkeypatch.setattr(constant_folding, "MOST_NUMBERS_OF_ALL", 500)
+    nodes = [node("Flatten", "x", "f"), node("Neg", "w", "a"), node("Neg", "a", "b")]
+    nodes += [node("Neg", "b", "c"), node("MatMul", "f c")]
+    path = write_onnx(tmp_path / "m.onnx", nodes, {"w": np.ones((60, 3), np.float32)})
+    with pytest.raises(NotImplementedError, match="a Neg of large constants has no compiled form"):
+        load_model(path, config=SMALL)
+
+
+def test_a_sum_of_stacked_maps_is_their_sum(tmp_path):
+    nodes = [
+        node("Relu", "x", "r"),
+        node("Unsqueeze", "x", "a", axes=[0]),
+        node("Unsqueeze", "r", "b", axes=[0]),
+        node("Concat", "a b", "s", axis=0),
+        node("ReduceSum", "s", axes=[0], keepdims=0),
+    ]
+    model = load_model(write_onnx(tmp_path / "m.onnx", nodes, {}, "y", 11), config=SMALL)
+    assert [layer["op"] for layer in model.network["classifier"]] == ["relu", "add"]

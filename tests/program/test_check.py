@@ -22,7 +22,8 @@ from async_tnt import (
     TNTVolume,
     load_model,
 )
-from async_tnt.checking.equality import Comparison, check_recording
+from async_tnt.checking.comparison import Comparison
+from async_tnt.checking.equality import check_recording
 from async_tnt.networks.torch.from_torch import layers_from_torch
 from async_tnt.networks.torch.operations import HeatmapCentroid
 from async_tnt.sources.files.nmnist import read_nmnist

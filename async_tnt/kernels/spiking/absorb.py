@@ -31,7 +31,7 @@ def _step(program, weights, params, state, now_us, x, y, p):
     event = L.FIRST_STAGE
     channel = program[L.CHANNEL_OF_ON] if p == 1 else program[L.CHANNEL_OF_OFF]
     place = y * program[event + L.COLUMNS] + x
-    ints[program[event + L.LIST]] = place * program[event + L.CHANNELS] + channel
+    ints[program[event + L.LIST]] = place * program[event + L.WIDTH] + channel
     state[program[event + L.VALUES]] = 1.0
     ints[program[event + L.N_ACTIVE]] = 1
     for k in range(1, program[L.N_STAGES]):

@@ -15,6 +15,7 @@ import numpy as np
 
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.spiking import layout as L
+from async_tnt.kernels.spiking.vectors import BLOCK, charge
 
 
 @compiled
@@ -31,18 +32,17 @@ def fire(program, stage, params, state, now_us):
     neurons = program[stage + L.NEURONS]
     box = program[stage + L.BOX]
     columns = program[stage + L.COLUMNS]
-    n_channels = program[stage + L.CHANNELS]
+    width = program[stage + L.WIDTH]
     n = 0
     for y in range(ints[box], ints[box + 1]):
         for x in range(ints[box + 2], ints[box + 3]):
             place = y * columns + x
             if neurons == L.NONE:
-                n = _pass_on(program, stage, state, place * n_channels, n)
+                n = _pass_on(program, stage, state, place * width, n)
                 continue
             if neurons == L.LEAKY:
                 _leak(program, stage, params, state, place, now_us)
-            if _charge(program, stage, params, state, place):
-                n = _spike(program, stage, params, state, place, n)
+            n = _fire_place(program, stage, params, state, place, n)
     ints[program[stage + L.N_ACTIVE]] = n
     if program[stage + L.COUNTS] >= 0:
         _count(program, stage, state, now_us)
@@ -69,9 +69,9 @@ def _pass_on(program, stage, state, first, n):
 def params_of(program, stage, place):
     """Where the first parameter of a place's neurons lies."""
     params = program[stage + L.PARAMS]
-    n_channels = program[stage + L.CHANNELS]
-    if program[stage + L.PARAMS_SIZE] > n_channels:
-        params += place * n_channels
+    width = program[stage + L.WIDTH]
+    if program[stage + L.PARAMS_SIZE] > width:
+        params += place * width
     return params
 
 
@@ -83,71 +83,70 @@ def _leak(program, stage, params, state, place, now_us):
     if passed_us <= 0.0:
         return
     state[times + place] = now_us
-    n_channels = program[stage + L.CHANNELS]
     size = program[stage + L.PARAMS_SIZE]
     first_param = params_of(program, stage, place)
-    first = program[stage + L.MEMBRANES] + place * n_channels
-    for c in range(n_channels):
+    first = program[stage + L.MEMBRANES] + place * program[stage + L.WIDTH]
+    for c in range(program[stage + L.CHANNELS]):
         rest = params[first_param + L.LEAK * size + c]
         rate = params[first_param + L.RATE * size + c]
         state[first + c] = rest + (state[first + c] - rest) * np.exp(-passed_us * rate)
 
 
 @inlined
-def _charge(program, stage, params, state, place):
-    """Add the sums of a place to its membranes. Returns whether a neuron is above its threshold."""
-    n_channels = program[stage + L.CHANNELS]
-    size = program[stage + L.PARAMS_SIZE]
-    gain = params_of(program, stage, place)
-    threshold = gain + L.THRESHOLD * size
-    first = place * n_channels
-    sums = program[stage + L.SUMS] + first
-    membranes = program[stage + L.MEMBRANES] + first
-    n_above = 0
-    for c in range(n_channels):
-        membrane = state[membranes + c] + params[gain + c] * state[sums + c]
-        state[membranes + c] = membrane
-        state[sums + c] = 0.0
-        n_above += membrane > params[threshold + c]
-    return n_above > 0
-
-
-@inlined
-def _spike(program, stage, params, state, place, n):
-    """Put the spikes of a place onto the list, and reset its membranes.
+def _fire_place(program, stage, params, state, place, n):
+    """Add the sums of a place to its membranes, and put its spikes onto the list.
 
     Returns the list's new length.
     """
-    ints = state.view(np.int64)
-    n_channels = program[stage + L.CHANNELS]
-    size = program[stage + L.PARAMS_SIZE]
-    first_param = params_of(program, stage, place)
-    first = place * n_channels
+    width = program[stage + L.WIDTH]
+    gains = params_of(program, stage, place)
+    thresholds = gains + L.THRESHOLD * program[stage + L.PARAMS_SIZE]
+    first = place * width
+    sums = program[stage + L.SUMS] + first
     membranes = program[stage + L.MEMBRANES] + first
-    indices = program[stage + L.LIST]
-    values = program[stage + L.VALUES]
-    for c in range(n_channels):
-        membrane = state[membranes + c]
-        threshold = params[first_param + L.THRESHOLD * size + c]
-        if not membrane > threshold:
-            continue
-        spikes = 1.0
-        if program[stage + L.RESET] == L.SUBTRACT:
-            spikes = max(1.0, np.ceil(membrane / threshold) - 1.0)
-            membrane -= spikes * threshold
-            if membrane > threshold:
-                spikes += 1.0
-                membrane -= threshold
-            if spikes >= L.MOST_SPIKES:
-                membrane = 0.0
-        else:
-            membrane = params[first_param + L.RESET_TO * size + c]
-        state[membranes + c] = membrane
-        ints[indices + n] = first + c
-        state[values + n] = spikes
-        ints[program[stage + L.N_SPIKES]] += np.int64(min(spikes, L.MOST_SPIKES))
-        n += 1
+    for block in range(0, width, BLOCK):
+        above = charge(
+            state, params, membranes + block, sums + block, gains + block, thresholds + block
+        )
+        c = block
+        while above != 0:
+            if above & 1:
+                _spike(program, stage, params, state, first + c, gains + c, n)
+                n += 1
+            above >>= 1
+            c += 1
     return n
+
+
+@inlined
+def _spike(program, stage, params, state, neuron, param, n):
+    """Put the spikes of a neuron that is above its threshold onto the list, and reset it.
+
+    Parameters
+    ----------
+    neuron : int. Its number in the stage.
+    param : int. Where its first parameter lies.
+    n : int. The list's length before.
+    """
+    ints = state.view(np.int64)
+    size = program[stage + L.PARAMS_SIZE]
+    membrane = state[program[stage + L.MEMBRANES] + neuron]
+    spikes = 1.0
+    if program[stage + L.RESET] == L.SUBTRACT:
+        threshold = params[param + L.THRESHOLD * size]
+        spikes = max(1.0, np.ceil(membrane / threshold) - 1.0)
+        membrane -= spikes * threshold
+        if membrane > threshold:
+            spikes += 1.0
+            membrane -= threshold
+        if spikes >= L.MOST_SPIKES:
+            membrane = 0.0
+    else:
+        membrane = params[param + L.RESET_TO * size]
+    state[program[stage + L.MEMBRANES] + neuron] = membrane
+    ints[program[stage + L.LIST] + n] = neuron
+    state[program[stage + L.VALUES] + n] = spikes
+    ints[program[stage + L.N_SPIKES]] += np.int64(min(spikes, L.MOST_SPIKES))
 
 
 @inlined

@@ -10,8 +10,9 @@ stages through its links, and then decides what goes on: spikes of neurons, or t
 
     program = [ header | stages | links ]
 
-A stage's numbers lie by place, and at each place by channel. Its sums are zero between events, so
-an event touches only what its spikes reach: the box of each stage.
+A stage's numbers lie by place, and at each place by channel, in whole blocks: WIDTH numbers, of
+which the first CHANNELS count. Its sums are zero between events, so an event touches only what its
+spikes reach: the box of each stage.
 
     state = [ for each stage: sums | list of what goes on | of neurons: membranes, currents, times
             | of the output: counts, first times ]
@@ -46,11 +47,13 @@ TIMES = 12  # in the state: of each place, the time up to which its neurons are 
 COUNTS = 13  # in the state: spikes of each neuron in the window; -1: they are not counted
 FIRST_US = 14  # in the state: time of each neuron's first spike in the window, or -1
 PARAMS = 15  # where its neurons' parameters begin
-PARAMS_SIZE = 16  # numbers of one parameter: one a channel, or one a neuron
+PARAMS_SIZE = 16  # numbers of one parameter: WIDTH, or as many for each place
 # in the state: numbers of the last event
 N_ACTIVE = 17  # length of the list
 BOX = 18  # four numbers: first row, row behind the last one, the same of columns
 N_SPIKES = 19  # in the state: spikes of the window
+N_ADDED = 20  # in the state: additions of weights in the window
+WIDTH = 21  # numbers of a place: CHANNELS, filled up to whole blocks
 
 # program: a link
 LINK_SIZE = 16
@@ -68,8 +71,8 @@ GROUPS = 10
 WEIGHTS = 11  # where its weights begin; of a pooling: in the params
 
 # kinds of links
-CONVOLUTION = 0  # weights [channel][ky][kx][filter of the channel's group]
-DENSE = 1  # weights [input][output]
+CONVOLUTION = 0  # weights [channel][ky][kx][WIDTH, or the filters of the channel's group]
+DENSE = 1  # weights [input][WIDTH]
 POOLING = 2  # the sum of each window times one weight
 SCALED = 3  # each number times a weight of its own
 COPIED = 4  # each number as it is

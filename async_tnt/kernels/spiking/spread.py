@@ -8,6 +8,7 @@ import numpy as np
 
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.spiking import layout as L
+from async_tnt.kernels.spiking.vectors import BLOCK, add_product
 
 
 @compiled
@@ -56,6 +57,7 @@ def _spread_convolution(program, stage, link, weights, state):
     ints = state.view(np.int64)
     source = source_of(program, link)
     n_channels = program[source + L.CHANNELS]
+    source_width = program[source + L.WIDTH]
     n_columns = program[source + L.COLUMNS]
     indices = program[source + L.LIST]
     values = program[source + L.VALUES]
@@ -70,18 +72,20 @@ def _spread_convolution(program, stage, link, weights, state):
     sums = program[stage + L.SUMS]
     rows = program[stage + L.ROWS]
     columns = program[stage + L.COLUMNS]
-    n_filters = program[stage + L.CHANNELS]
+    width = program[stage + L.WIDTH]
     box = program[stage + L.BOX]
-    filters_each = n_filters // groups
+    filters_each = program[stage + L.CHANNELS] // groups
     channels_each = n_channels // groups
+    weights_each = width if groups == 1 else filters_each
+    n_added = 0
     reach_y = (kernel_y - 1) * dilation_y + 1
     reach_x = (kernel_x - 1) * dilation_x + 1
 
     for k in range(ints[program[source + L.N_ACTIVE]]):
         index = ints[indices + k]
         value = state[values + k]
-        place = index // n_channels
-        channel = index - place * n_channels
+        place = index // source_width
+        channel = index - place * source_width
         y = place // n_columns + program[link + L.PADDING_Y]
         x = place % n_columns + program[link + L.PADDING_X]
         first_y = first_place(y, reach_y, stride_y)
@@ -92,7 +96,7 @@ def _spread_convolution(program, stage, link, weights, state):
             continue
         widen(ints, box, first_y, last_y, first_x, last_x)
         first_filter = channel // channels_each * filters_each
-        of_channel = program[link + L.WEIGHTS] + channel * kernel_y * kernel_x * filters_each
+        of_channel = program[link + L.WEIGHTS] + channel * kernel_y * kernel_x * weights_each
         for target_y in range(first_y, last_y + 1):
             from_y = y - target_y * stride_y
             ky = from_y // dilation_y
@@ -103,16 +107,23 @@ def _spread_convolution(program, stage, link, weights, state):
                 kx = from_x // dilation_x
                 if kx * dilation_x != from_x:
                     continue
-                target = sums + (target_y * columns + target_x) * n_filters + first_filter
-                first_weight = of_channel + (ky * kernel_x + kx) * filters_each
-                add_product(state, target, value, weights, first_weight, filters_each)
+                target = sums + (target_y * columns + target_x) * width
+                first_weight = of_channel + (ky * kernel_x + kx) * weights_each
+                if groups == 1:
+                    add_product(state, target, value, weights, first_weight, width // BLOCK)
+                else:
+                    _add_few(
+                        state, target + first_filter, value, weights, first_weight, filters_each
+                    )
+                n_added += filters_each
+    ints[program[stage + L.N_ADDED]] += n_added
 
 
 @inlined
-def add_product(state, target, value, weights, first_weight, n):
-    """Add a number times n weights to n sums."""
-    for f in range(n):
-        state[target + f] += value * np.float64(weights[first_weight + f])
+def _add_few(state, first, value, weights, first_weight, n):
+    """Add a number times n weights to n numbers of the state."""
+    for k in range(n):
+        state[first + k] += value * np.float64(weights[first_weight + k])
 
 
 @compiled
@@ -122,20 +133,21 @@ def _spread_dense(program, stage, link, weights, state):
     indices = program[source + L.LIST]
     values = program[source + L.VALUES]
     sums = program[stage + L.SUMS]
-    n = program[stage + L.CHANNELS]
+    width = program[stage + L.WIDTH]
     n_active = ints[program[source + L.N_ACTIVE]]
     if n_active > 0:
         widen(ints, program[stage + L.BOX], 0, 0, 0, 0)
     for k in range(n_active):
-        first_weight = program[link + L.WEIGHTS] + ints[indices + k] * n
-        add_product(state, sums, state[values + k], weights, first_weight, n)
+        first_weight = program[link + L.WEIGHTS] + ints[indices + k] * width
+        add_product(state, sums, state[values + k], weights, first_weight, width // BLOCK)
+    ints[program[stage + L.N_ADDED]] += n_active * program[stage + L.CHANNELS]
 
 
 @compiled
 def _spread_pooling(program, stage, link, params, state):
     ints = state.view(np.int64)
     source = source_of(program, link)
-    n_channels = program[source + L.CHANNELS]
+    width = program[source + L.WIDTH]
     n_columns = program[source + L.COLUMNS]
     indices = program[source + L.LIST]
     values = program[source + L.VALUES]
@@ -150,8 +162,8 @@ def _spread_pooling(program, stage, link, params, state):
     for k in range(ints[program[source + L.N_ACTIVE]]):
         index = ints[indices + k]
         value = state[values + k]
-        place = index // n_channels
-        channel = index - place * n_channels
+        place = index // width
+        channel = index - place * width
         y = place // n_columns + program[link + L.PADDING_Y]
         x = place % n_columns + program[link + L.PADDING_X]
         first_y = first_place(y, program[link + L.KERNEL_Y], stride_y)
@@ -163,7 +175,7 @@ def _spread_pooling(program, stage, link, params, state):
         widen(ints, box, first_y, last_y, first_x, last_x)
         for target_y in range(first_y, last_y + 1):
             for target_x in range(first_x, last_x + 1):
-                target = sums + (target_y * columns + target_x) * n_channels + channel
+                target = sums + (target_y * columns + target_x) * width + channel
                 state[target] += value * weight
 
 
@@ -171,7 +183,7 @@ def _spread_pooling(program, stage, link, params, state):
 def _spread_scaled(program, stage, link, weights, state):
     ints = state.view(np.int64)
     source = source_of(program, link)
-    n_channels = program[source + L.CHANNELS]
+    width = program[source + L.WIDTH]
     n_columns = program[source + L.COLUMNS]
     indices = program[source + L.LIST]
     values = program[source + L.VALUES]
@@ -179,7 +191,7 @@ def _spread_scaled(program, stage, link, weights, state):
     box = program[stage + L.BOX]
     for k in range(ints[program[source + L.N_ACTIVE]]):
         index = ints[indices + k]
-        place = index // n_channels
+        place = index // width
         y = place // n_columns
         x = place % n_columns
         widen(ints, box, y, y, x, x)

@@ -20,7 +20,7 @@ from async_tnt.kernels.network.heatmap import centroid
 from async_tnt.kernels.network.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.layers.program import Program, VolumeInput, make_program
-from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.model import Model, layers_of
 from async_tnt.networks.models.objects import ObjectReader, new_tracks
 from async_tnt.volume.events import Columns
 from async_tnt.volume.volume import TNTVolume
@@ -36,7 +36,8 @@ def program_of(model: Model, network: str) -> Program:
     outputs = None
     if network == CLASSIFIER and model.outputs:
         outputs = list(model.outputs.values())
-    return make_program(model.network[network], model.config.shape, model.weights, shared, outputs)
+    layers = layers_of(model, network)
+    return make_program(layers, model.config.shape, model.weights, shared, outputs)
 
 
 class CompiledClassifier:

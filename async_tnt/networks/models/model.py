@@ -30,6 +30,7 @@ from async_tnt.networks.layers.reach import Work, work_of_one_event
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
 from async_tnt.networks.spiking.operations import (
+    NEURONS,
     SPIKING_OPERATIONS,
     check_spiking_values,
 )
@@ -344,6 +345,15 @@ class Model:
         return n
 
     @property
+    def n_neurons(self) -> int:
+        """The number of neurons of a spiking network; 0 for other networks."""
+        if not self.is_spiking:
+            return 0
+        kinds = {operation.name for operation in NEURONS}
+        shapes = self._shapes
+        return sum(math.prod(shapes[one["name"]]) for one in self.layers if one["op"] in kinds)
+
+    @property
     def work_of_one_event(self) -> Work:
         """The multiplications that one event reaches, at most, and those of a whole pass."""
         config = self.config
@@ -419,6 +429,22 @@ class Model:
         with replacing(path) as part:
             part.write_bytes(content)
         return path
+
+
+def layers_of(model: Model, network: str) -> Sequence[Layer]:
+    """The layers of a model's classifier or regressor, which read volumes.
+
+    Raises
+    ------
+    ValueError : the model is a spiking one.
+    """
+    if model.is_spiking:
+        rule = (
+            "must have a network that reads volumes; events go through a spiking model one by one, "
+            "in a Processor or a SpikingVolume"
+        )
+        raise ParameterValueError("model", rule)
+    return model.network[network]
 
 
 # -- what a model has to be ------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from async_tnt.kernels.spiking.absorb import absorb_one_spike, absorb_spikes
 from async_tnt.kernels.volume.absorb import REFUSED
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.spiking_network import SpikingNetwork
-from async_tnt.networks.spiking.program import StageMemory
+from async_tnt.networks.spiking.program import StageMemory, width_of
 from async_tnt.volume.events import Columns, Late
 from async_tnt.volume.volume import TNTVolume
 
@@ -101,6 +101,14 @@ class SpikingVolume(TNTVolume):
         memory = self._memory(layer)
         return int(self._state.view(np.int64)[memory.n_spikes])
 
+    def additions(self, layer: str | None = None) -> int:
+        """How many weights spikes have added to a layer in the window, by default to the output.
+
+        These are the synaptic operations of convolutions and dense layers.
+        """
+        memory = self._memory(layer)
+        return int(self._state.view(np.int64)[memory.n_added])
+
     def spike_counts(self) -> np.ndarray:
         """How many spikes each neuron of the output has had in the window: float64."""
         memory = self._memory(None)
@@ -120,23 +128,25 @@ class SpikingVolume(TNTVolume):
         if record[L.NEURONS] != L.LEAKY:
             return membranes
         n_channels, rows, columns = memory.map_shape
-        n_places = rows * columns
-        times = self._state[record[L.TIMES] : record[L.TIMES] + n_places].reshape(rows, columns, 1)
-        values = params[record[L.PARAMS] :][: L.N_PARAMS * record[L.PARAMS_SIZE]]
-        by_role = values.reshape(L.N_PARAMS, -1, n_channels)
-        shape = (L.N_PARAMS, rows, columns, n_channels)
-        if by_role.shape[1] == 1:
-            by_role = np.broadcast_to(by_role[:, :, np.newaxis], shape)
-        else:
-            by_role = by_role.reshape(shape)
+        first = int(record[L.TIMES])
+        times = self._state[first : first + rows * columns].reshape(rows, columns)
         _, time_us, _ = self.moment()
         passed_us = np.maximum(0.0, time_us - times)
-        decay = np.exp(-passed_us * by_role[L.RATE])
-        stored = self._state[memory.membranes :][: n_places * n_channels]
-        rest = by_role[L.LEAK]
-        leaked = rest + (stored.reshape(rows, columns, n_channels) - rest) * decay
-        leaked = np.where(passed_us > 0.0, leaked, stored.reshape(leaked.shape))
-        return leaked.transpose(2, 0, 1).reshape(memory.shape)
+        size = int(record[L.PARAMS_SIZE])
+        first = int(record[L.PARAMS])
+        values = params[first : first + L.N_PARAMS * size].reshape(
+            L.N_PARAMS, -1, width_of(n_channels)
+        )
+        shape = (L.N_PARAMS, rows, columns, width_of(n_channels))
+        values = np.broadcast_to(
+            values.reshape(L.N_PARAMS, *(shape[1:3] if values.shape[1] > 1 else (1, 1)), -1), shape
+        )
+        by_channel = values[..., :n_channels].transpose(0, 3, 1, 2)
+        stored = membranes.reshape(memory.map_shape)
+        rest = by_channel[L.LEAK]
+        leaked = rest + (stored - rest) * np.exp(-passed_us * by_channel[L.RATE])
+        now: np.ndarray = np.where(passed_us > 0.0, leaked, stored)
+        return now.reshape(memory.shape)
 
     def _memory(self, layer: str | None) -> StageMemory:
         """Where the numbers of a layer of neurons lie."""
@@ -149,5 +159,7 @@ class SpikingVolume(TNTVolume):
     def _as_layer(self, memory: StageMemory, first: int) -> np.ndarray:
         """Numbers of a stage, in the layer's own shape: float64, a copy."""
         n_channels, rows, columns = memory.map_shape
-        stored = self._state[first : first + n_channels * rows * columns]
-        return stored.reshape(rows, columns, n_channels).transpose(2, 0, 1).reshape(memory.shape)
+        width = width_of(n_channels)
+        stored = self._state[first : first + rows * columns * width].reshape(rows, columns, width)
+        own: np.ndarray = stored[..., :n_channels].transpose(2, 0, 1).reshape(memory.shape).copy()
+        return own

@@ -15,7 +15,7 @@ import numpy as np
 from async_tnt.base.checks import ParameterTypeError, positive_int
 from async_tnt.base.extras import needs_extra
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
-from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.model import Model, layers_of
 from async_tnt.networks.models.objects import LOGITS_SHAPES, Places, logits_shape
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def _network(
 ) -> tnt_reference.LayerNetwork:
     from tnt_reference import LayerNetwork
 
-    return LayerNetwork(model.network[name], model.weights, outputs).eval()
+    return LayerNetwork(layers_of(model, name), model.weights, outputs).eval()
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:

@@ -119,11 +119,19 @@ def _product(onnx_layers: OnnxLayers, node: Node) -> None:
 
 
 def sum_of_channels(onnx_layers: OnnxLayers, node: Node) -> None:
-    """Add a convolution of one place for the sum of the channels at each place."""
-    axes = node.get("axes")
-    if axes is None:  # from opset 13 on the axes are an input
-        given = onnx_layers.constant(node, 1)
-        axes = None if given is None else given.tolist()
+    """Add a convolution of one place for the sum of the channels at each place.
+
+    The sum of stacked maps becomes their sum.
+    """
+    axes = _axes(onnx_layers, node)
+    if node.inputs[0] in onnx_layers.stacked:
+        expect_form(axes == [0] and not node.get("keepdims", 1), "a sum of this stack")
+        parts = onnx_layers.stacked[node.inputs[0]]
+        if len(parts) == 1:
+            onnx_layers.alias(node, parts[0])
+        else:
+            onnx_layers.add(node, "add", parts)
+        return
     channels, *sides = onnx_layers.shape(node.inputs[0])
     is_known = list(axes or []) in ([1], [-3]) and len(sides) == 2 and node.get("keepdims", 1)
     expect_form(bool(is_known), f"a sum over axes {axes}, not of the channels of a map (1),")
@@ -132,8 +140,31 @@ def sum_of_channels(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "conv", node.inputs[:1], weights={"weight": name}, **parameters)
 
 
+def _axes(onnx_layers: OnnxLayers, node: Node) -> list[int] | None:
+    """The axes of a node: an attribute, or from opset 13 on an input."""
+    axes = node.get("axes")
+    if axes is None:
+        given = onnx_layers.constant(node, 1)
+        axes = None if given is None else given.reshape(-1)
+    return None if axes is None else [int(axis) for axis in axes]
+
+
+def unsqueeze(onnx_layers: OnnxLayers, node: Node) -> None:
+    """Note a map that gets a first axis, along which maps are stacked: no layer is added."""
+    (source, *_) = node.inputs
+    is_map = len(onnx_layers.shape(source)) == 3 and source not in onnx_layers.channels_last
+    is_known = is_map and source not in onnx_layers.grouped
+    expect_form(is_known and _axes(onnx_layers, node) == [0], "an axis here")
+    onnx_layers.stacked[node.outputs[0]] = [source]
+
+
 def concat(onnx_layers: OnnxLayers, node: Node) -> None:
     axis = node.get("axis")
+    if all(name in onnx_layers.stacked for name in node.inputs):
+        expect_form(axis == 0, "a stack of stacks")
+        parts = [part for name in node.inputs for part in onnx_layers.stacked[name]]
+        onnx_layers.stacked[node.outputs[0]] = parts
+        return
     expect_form(axis in (1, -3), f"axis {axis}, not channels (1),")
     if len(node.inputs) == 1:
         onnx_layers.alias(node, node.inputs[0])

@@ -1,7 +1,8 @@
 """Nodes of an ONNX graph that do not depend on the volume: they are computed while it is read.
 
 Exporters write the size of a resize or reshape as nodes that compute it from the shape of another
-value. A volume's shape is known, and its batch has one volume.
+value. A volume's shape is known, and its batch has one volume. Weights that a network standardizes
+are computed by nodes, too.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 FOLDED = {
     "Add",
+    "BatchNormalization",
     "Cast",
     "Ceil",
     "Clip",
@@ -26,11 +28,13 @@ FOLDED = {
     "Div",
     "Floor",
     "Gather",
+    "Identity",
     "Max",
     "Min",
     "Mod",
     "Mul",
     "Neg",
+    "ReduceMean",
     "Reshape",
     "Slice",
     "Squeeze",
@@ -44,10 +48,13 @@ BROADCASTING = {"Add", "Clip", "Div", "Max", "Min", "Mod", "Mul", "Sub"}
 """Those of them whose output may have more numbers than each input."""
 
 MOST_NUMBERS = 1 << 12
-"""Most numbers of an input or output: these nodes compute sizes.
+"""Most numbers of an output that is larger than each input: such nodes compute sizes.
 
 Hostile files may ask for more.
 """
+
+MOST_NUMBERS_OF_ALL = 1 << 27
+"""Most numbers of the outputs of all these nodes: hostile files may compute large weights often."""
 
 
 def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
@@ -59,7 +66,7 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
     ------
     NotImplementedError : the node cannot be computed.
     """
-    if node.op == "Shape" and node.inputs[0] in onnx_layers.names:
+    if node.op == "Shape" and _has_shape(onnx_layers, node.inputs[0]):
         shape = _shape(onnx_layers, node.inputs[0])
         part = shape[node.get("start", 0) : node.get("end", len(shape))]
         onnx_layers.constants[node.outputs[0]] = np.array(part, np.int64)
@@ -68,11 +75,11 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
     if node.op not in FOLDED or not all(name in onnx_layers.constants for name in inputs):
         return False
     values = {name: onnx_layers.constants[name] for name in inputs}
-    fits = all(value.size <= MOST_NUMBERS for value in values.values())
-    if node.op == "ConstantOfShape":
-        (sides,) = values.values()
-        fits = math.prod(map(int, sides.reshape(-1))) <= MOST_NUMBERS
-    fits = fits and _output_size(node, list(values.values())) <= MOST_NUMBERS
+    size = _output_size(node, list(values.values()))
+    largest_input = max((value.size for value in values.values()), default=0)
+    onnx_layers.n_folded += max(size, largest_input)
+    fits = size <= max(MOST_NUMBERS, largest_input)
+    fits = fits and onnx_layers.n_folded <= MOST_NUMBERS_OF_ALL
     expect_form(fits, f"a {node.op} of large constants")
     try:
         outputs = _computed(node, values, onnx_layers.opset)
@@ -82,8 +89,15 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
     return True
 
 
+def _has_shape(onnx_layers: OnnxLayers, value: str) -> bool:
+    """Whether the shape of a value is known."""
+    return value in onnx_layers.names or value in onnx_layers.constants
+
+
 def _shape(onnx_layers: OnnxLayers, value: str) -> tuple[int, ...]:
     """The shape of a value, with its batch of one."""
+    if value in onnx_layers.constants:
+        return onnx_layers.constants[value].shape
     is_arranged = value in onnx_layers.grouped or value in onnx_layers.flat_groups
     expect_form(not is_arranged, "the shape of channels in groups")
     channels, *sides = onnx_layers.shape(value)
@@ -93,7 +107,11 @@ def _shape(onnx_layers: OnnxLayers, value: str) -> tuple[int, ...]:
 
 
 def _output_size(node: Node, values: list[np.ndarray]) -> int:
-    """How many numbers a node's output has, if it may have more than its inputs."""
+    """How many numbers a node's output has, if it may have more than its inputs; else 0."""
+    if node.op == "ConstantOfShape":
+        return math.prod(map(int, values[0].reshape(-1)))
+    if node.op == "Concat":
+        return sum(value.size for value in values)
     if node.op in BROADCASTING:
         return math.prod(np.broadcast_shapes(*(value.shape for value in values)))
     if node.op == "Gather":

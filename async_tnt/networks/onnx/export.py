@@ -8,7 +8,7 @@ from async_tnt.base.extras import needs_extra
 from async_tnt.base.package import __version__
 from async_tnt.networks.layers.graph import CLASSIFIER, VOLUME, layer_shapes, tensors_of
 from async_tnt.networks.layers.layer import Shape
-from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.model import Model, layers_of
 from async_tnt.networks.onnx.metadata import metadata_of, seal
 from async_tnt.networks.onnx.nodes import LOGITS, OnnxNodes
 from async_tnt.networks.onnx.operations import FORMS
@@ -89,7 +89,7 @@ def _nodes_of(model: Model) -> OnnxNodes:
     """The nodes of the network, layer by layer."""
     from onnx.helper import make_node
 
-    layers = model.network[CLASSIFIER]
+    layers = layers_of(model, CLASSIFIER)
     weights = {name: model.weights[name] for name in sorted(tensors_of(layers))}
     tensor_shapes = {name: w.shape for name, w in model.weights.items()}
     shapes = layer_shapes(layers, model.config.shape, tensor_shapes, ())

@@ -88,6 +88,8 @@ class OnnxLayers:
     grouped : name of a value -> the map whose channels it has in groups.
     flat_groups : name of a value -> the map whose groups of channels are its rows.
     channels_last : names of the values that have their channels as last axis.
+    stacked : name of a value -> the maps that lie along its first axis.
+    n_folded : numbers that were computed from constants alone so far.
     """
 
     def __init__(
@@ -104,6 +106,8 @@ class OnnxLayers:
         self.grouped: dict[str, Grouped] = {}
         self.flat_groups: dict[str, FlatGroups] = {}
         self.channels_last: set[str] = set()
+        self.stacked: dict[str, list[str]] = {}
+        self.n_folded = 0
         self.constants = dict(constants)
         self.opset = opset
         self._shape = shape

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.networks.layers.graph import CLASSIFIER
 from async_tnt.networks.layers.layer import Layer
-from async_tnt.networks.models.model import FORMAT, FORMATS, Model
+from async_tnt.networks.models.model import FORMAT, FORMAT_OF_OUTPUTS, Model
 from async_tnt.networks.models.model_file import parse_metadata, read_description
 from async_tnt.volume.config import TNTConfig
 
@@ -74,8 +74,8 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
     file_format = metadata.get("format", "")
     if not file_format.startswith(FORMAT.split()[0] + " "):
         return None
-    if file_format not in FORMATS:
-        expected = " or ".join(map(repr, FORMATS))
+    if file_format not in (FORMAT, FORMAT_OF_OUTPUTS):
+        expected = f"{FORMAT!r} or {FORMAT_OF_OUTPUTS!r}"
         raise ValueError(f"metadata `format` must be {expected}, got {file_format!r}")
     try:
         config, classes, record, outputs = read_description(metadata)

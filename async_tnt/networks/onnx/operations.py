@@ -121,7 +121,14 @@ FORMS: dict[str, OnnxForm] = {
     ),
     "multiply": OnnxForm({"Mul": arranging.multiply}, plain_node("Mul")),
     "add": OnnxForm(
-        {"Add": arranging.add, "Sum": arranging.add, "Sub": arranging.subtract}, plain_node("Sum")
+        {
+            "Add": arranging.add,
+            "Sum": arranging.add,
+            "Sub": arranging.subtract,
+            "Unsqueeze": arranging.unsqueeze,
+            "ReduceSum": arranging.sum_of_channels,
+        },
+        plain_node("Sum"),
     ),
     "concat": OnnxForm({"Concat": arranging.concat}, plain_node("Concat", axis=1)),
     "flatten": OnnxForm(

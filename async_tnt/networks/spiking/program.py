@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from async_tnt.kernels.spiking import layout as L
+from async_tnt.kernels.spiking.vectors import BLOCK
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.networks.spiking.operations import (
@@ -54,9 +55,11 @@ class StageMemory(NamedTuple):
     shape: Shape
     """The layer's output: (C, H, W), or (N,)."""
     map_shape: Shape
-    """The same as a map (C, H, W). Its numbers lie in the order [row, column, channel]."""
+    """The same as a map (C, H, W). Its numbers lie in the order [row, column, channel], with
+    `width_of(C)` numbers for each place."""
     membranes: int
     n_spikes: int
+    n_added: int
     counts: int
     first_us: int
     stage: int
@@ -179,7 +182,10 @@ class _Maker:
         first_place = rows[:, :, :1, :1]
         if (rows == first_place).all():
             rows = first_place
-        return rows.transpose(0, 2, 3, 1).reshape(L.N_PARAMS, -1)
+        filled = _filled(rows.transpose(0, 2, 3, 1))
+        # what fills a block up never fires
+        filled[L.THRESHOLD, ..., n_channels:] = np.inf
+        return filled.reshape(L.N_PARAMS, -1)
 
     def _links_of(self, layer: Layer) -> list[_Link]:
         """The links of a linear layer, in the order of its inputs."""
@@ -189,11 +195,14 @@ class _Maker:
         source_shape = self._stages[source].map_shape
         if layer["op"] == SCALE.name:
             scale = _spread_over(self._tensor(layer, "scale"), source_shape)
-            return [_Link(source, L.SCALED, weights=scale.transpose(1, 2, 0))]
+            return [_Link(source, L.SCALED, weights=_filled(scale.transpose(1, 2, 0)))]
         if layer["op"] == "dense":
             weight = self._tensor(layer, "weight")
+            # [row, column, channel, output], each channel of the blocks' filling included
             by_input = weight.reshape(len(weight), *source_shape).transpose(2, 3, 1, 0)
-            return [_Link(source, L.DENSE, weights=by_input)]
+            n_filling = width_of(source_shape[0]) - source_shape[0]
+            by_input = np.pad(by_input, ((0, 0), (0, 0), (0, n_filling), (0, 0)))
+            return [_Link(source, L.DENSE, weights=_filled(by_input))]
         fields = {
             L.KERNEL_Y: layer["kernel"][0],
             L.KERNEL_X: layer["kernel"][1],
@@ -212,7 +221,10 @@ class _Maker:
         weight = self._tensor(layer, "weight")
         grouped = weight.reshape(layer["groups"], -1, *weight.shape[1:])
         # [group, filter, channel, ky, kx] -> [group, channel, ky, kx, filter]
-        return [_Link(source, L.CONVOLUTION, fields, weights=grouped.transpose(0, 2, 3, 4, 1))]
+        by_channel = grouped.transpose(0, 2, 3, 4, 1)
+        if layer["groups"] == 1:
+            by_channel = _filled(by_channel)
+        return [_Link(source, L.CONVOLUTION, fields, weights=by_channel)]
 
     def _tensor(self, layer: Layer, role: str) -> np.ndarray:
         return self._tensors[layer["weights"][role]]
@@ -266,20 +278,22 @@ class _Arrays:
 
     def _lay_out_stage(self, number: int, stage: _Stage, is_output: bool) -> None:
         channels, rows, columns = stage.map_shape
-        n = channels * rows * columns
+        width = width_of(channels)
+        n = width * rows * columns
         record = self._record(number)
         record[L.LINKS] = self._next_link
         record[L.N_LINKS] = len(stage.links)
-        record[[L.CHANNELS, L.ROWS, L.COLUMNS]] = channels, rows, columns
+        record[[L.CHANNELS, L.ROWS, L.COLUMNS, L.WIDTH]] = channels, rows, columns, width
         record[L.NEURONS] = stage.neurons
         record[L.RESET] = stage.reset
-        n_active = n if number else 1
+        n_listed = channels * rows * columns if number else 1
         record[L.SUMS] = self._room(n if number else 0)
-        record[L.LIST] = self._room(n_active)
-        record[L.VALUES] = self._room(n_active)
+        record[L.LIST] = self._room(n_listed)
+        record[L.VALUES] = self._room(n_listed)
         record[L.N_ACTIVE] = self._room(1)
         record[L.BOX] = self._room(4)
         record[L.N_SPIKES] = self._room(1)
+        record[L.N_ADDED] = self._room(1)
         record[[L.MEMBRANES, L.CURRENTS, L.TIMES, L.COUNTS, L.FIRST_US]] = -1
         if stage.neurons != L.NONE:
             record[L.MEMBRANES] = self._room(n)
@@ -287,14 +301,9 @@ class _Arrays:
             record[L.PARAMS] = sum(map(len, self._params))
             record[L.PARAMS_SIZE] = stage.params.shape[1]
             self._params.append(stage.params.reshape(-1))
-            rest = (
-                np.broadcast_to(
-                    stage.params[L.LEAK].reshape(-1, channels), (n // channels, channels)
-                )
-                if stage.params.shape[1] == channels
-                else stage.params[L.LEAK]
-            )
-            self._at_rest.append((int(record[L.MEMBRANES]), rest.reshape(-1)))
+            # the rest of all neurons, or of one place's
+            rest = np.resize(stage.params[L.LEAK], n)
+            self._at_rest.append((int(record[L.MEMBRANES]), rest))
         if is_output:
             record[L.COUNTS] = self._room(n)
             record[L.FIRST_US] = self._room(n)
@@ -341,10 +350,22 @@ class _Arrays:
             self._stages[number].map_shape,
             int(record[L.MEMBRANES]),
             int(record[L.N_SPIKES]),
+            int(record[L.N_ADDED]),
             int(record[L.COUNTS]),
             int(record[L.FIRST_US]),
             L.FIRST_STAGE + number * L.STAGE_SIZE,
         )
+
+
+def width_of(n_channels: int) -> int:
+    """How many numbers a place with so many channels has, with those that fill its last block."""
+    return math.ceil(n_channels / BLOCK) * BLOCK
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Values whose last axis is filled up with zeros to whole blocks."""
+    n_filling = width_of(values.shape[-1]) - values.shape[-1]
+    return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, n_filling)])
 
 
 def _as_map(shape: Shape) -> Shape:

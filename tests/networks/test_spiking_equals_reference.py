@@ -1,0 +1,78 @@
+"""Spiking networks at every event: the same spikes and membranes as with all neurons computed.
+
+Membranes of IF neurons have the same bits. Those that leak differ by rounding: the reference lets
+them leak at each event, and the package when they are touched.
+
+ASYNC_TNT_FUZZ_CASES makes it a long run.
+"""
+
+import os
+
+import numpy as np
+import pytest
+from networks.random_spiking import CONFIG, random_spiking_model
+
+from async_tnt.networks.models.spiking_volume import SpikingVolume
+
+torch = pytest.importorskip("torch", reason="the reference needs torch")
+
+from tnt_reference.spiking import SpikingNetwork  # noqa: E402
+
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))
+EVENTS = 120
+
+LEAKY_BOUND = 1e-9
+"""How much membranes that leak may differ."""
+
+
+def stream_of(seed, n=EVENTS):
+    """Events of one window: bursts at a few pixels, ties, and events that come late."""
+    rng = np.random.default_rng(seed)
+    width, height = CONFIG.sensor
+    t = np.sort(rng.integers(0, CONFIG.window_us, n))
+    x = np.clip(rng.normal(rng.integers(width), 1.5, n).round(), 0, width - 1).astype(int)
+    y = np.clip(rng.normal(rng.integers(height), 1.5, n).round(), 0, height - 1).astype(int)
+    p = rng.integers(0, 2, n)
+    late = rng.random(n) < 0.05
+    t[late] = np.maximum(0, t[late] - 50)
+    return np.stack([t, x, y, p], axis=1)
+
+
+def assert_equal(volume, reference, where):
+    for layer in volume.network.layers:
+        own = volume.membranes(layer).reshape(-1)
+        expected = reference.membranes[layer].numpy().reshape(-1)
+        if reference.leaks:
+            np.testing.assert_allclose(own, expected, rtol=LEAKY_BOUND, atol=LEAKY_BOUND)
+        else:
+            assert own.tobytes() == expected.tobytes(), (*where, layer)
+        if layer in reference.spikes:
+            assert volume.spikes(layer) == reference.spikes[layer], (*where, layer)
+    if volume.network.fires:
+        counts = reference.counts.numpy().reshape(-1)
+        first_us = reference.first_us.numpy().reshape(-1)
+        np.testing.assert_array_equal(volume.spike_counts().reshape(-1), counts, str(where))
+        np.testing.assert_array_equal(volume.first_spikes_us().reshape(-1), first_us, str(where))
+
+
+def compare_at_every_event(model, events, where):
+    volume = SpikingVolume(model)
+    volume.open(0)
+    reference = SpikingNetwork(model.network["spiking"], model.weights, model.config.shape)
+    newest_us = 0
+    for number, (t, x, y, p) in enumerate(events.tolist()):
+        volume.update_one(t, x, y, p)
+        newest_us = max(newest_us, t)  # a late event acts at the time of the newest
+        reference.step(newest_us, x, y, p == 1)
+        assert_equal(volume, reference, (*where, number))
+    return reference
+
+
+@pytest.mark.parametrize("ops", [("if",), ("if", "lif")], ids="+".join)
+def test_spikes_and_membranes_at_every_event(ops):
+    fired = 0
+    for seed in range(CASES):
+        model = random_spiking_model(seed, raw=seed % 2 == 0, ops=ops)
+        reference = compare_at_every_event(model, stream_of(seed), (seed,))
+        fired += sum(n > 10 for n in reference.spikes.values()) > 1
+    assert fired > CASES // 4
