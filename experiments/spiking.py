@@ -198,8 +198,9 @@ def agreement(subject: Subject) -> dict[str, Any]:
     for name, simulator, kind, reset, neurons in _others():
         graph = random_small_graph(kind, STEP_S, rng)
         if simulator not in missing:
-            network = SteppedNetwork(stages_of(graph, torch.float64), neurons)
-            rows[name] = compare(of_graph(graph, reset, window_us), network, packets)
+            stages = stages_of(graph, torch.float64)
+            network = SteppedNetwork(stages, neurons)
+            rows[name] = compare(of_graph(graph, reset, window_us), network, packets, stages)
     return {"rows": rows, "left_out": missing}
 
 

@@ -53,13 +53,17 @@ class Agreement:
     """Of membranes, where spikes are the same."""
     nearest: float = np.inf
     """The least distance of a membrane from a threshold."""
+    operations: dict[str, int] = field(default_factory=dict)
+    """Layer -> synaptic operations of the simulator's spikes, see `Operations`."""
+    our_operations: dict[str, int] = field(default_factory=dict)
+    """The same of our engine, by its own count, in recordings without a difference."""
 
 
 def compare(
     model: Model,
     network: SteppedNetwork,
     recordings: Sequence[np.ndarray],
-    stages: Sequence[Stage] | None = None,
+    stages: Sequence[Stage],
 ) -> dict[str, Any]:
     """The `Agreement` on recordings, as a dict.
 
@@ -68,21 +72,18 @@ def compare(
     model : our model of the graph.
     network : the simulator's, in float64, with recorded membranes.
     recordings : their events.
-    stages : those of the network; if given, synaptic operations are counted, too.
+    stages : those of the network.
     """
-    found = Agreement(spikes=dict.fromkeys(network.names, 0))
-    operations = Operations(stages) if stages else None
+    nothing = dict.fromkeys(network.names, 0)
+    found = Agreement(spikes={**nothing}, our_operations={**nothing})
+    operations = Operations(stages)
     with progress(len(recordings), "spike for spike") as bar:
         for k, events in enumerate(recordings):
             _compare_recording(model, network, events, k, found, operations)
             found.recordings += 1
             bar.update()
-    report = dict(vars(found))
-    if operations is not None:
-        report["operations_an_event"] = {
-            name: n / found.events for name, n in operations.by_layer.items()
-        }
-    return report
+    found.operations = operations.by_layer
+    return dict(vars(found))
 
 
 def _compare_recording(
@@ -91,7 +92,7 @@ def _compare_recording(
     events: np.ndarray,
     number: int,
     found: Agreement,
-    operations: Operations | None,
+    operations: Operations,
 ) -> None:
     """Add a recording to what was found, up to its first difference."""
     volume = SpikingVolume(model)
@@ -108,8 +109,9 @@ def _compare_recording(
         found.events += len(chunk)
         for name, answer in zip(network.names, theirs, strict=True):
             found.spikes[name] += int(answer.spikes.sum())
-        if operations is not None:
-            operations.add(inputs, theirs)
+        operations.add(inputs, theirs)
+    for name in network.names:
+        found.our_operations[name] += volume.additions(name)
 
 
 @dataclass(frozen=True)
@@ -127,14 +129,14 @@ class _Ours:
 def _our_answers(volume: SpikingVolume, events: np.ndarray, names: Sequence[str]) -> list[_Ours]:
     """What each layer does at each event."""
     totals = np.array([[volume.spikes(name) for name in names]])
-    counts = [volume.spike_counts().copy()]
+    counts = [volume.spike_counts()]
     membranes: list[list[np.ndarray]] = [[] for _ in names]
     for k in range(len(events)):
         volume.update(events[k : k + 1])
         totals = np.append(totals, [[volume.spikes(name) for name in names]], axis=0)
-        counts.append(volume.spike_counts().copy())
+        counts.append(volume.spike_counts())
         for of_layer, name in zip(membranes, names, strict=True):
-            of_layer.append(volume.membranes(name).copy())
+            of_layer.append(volume.membranes(name))
     n_spikes = np.diff(totals, axis=0)
     outputs = np.diff(np.stack(counts), axis=0)
     return [

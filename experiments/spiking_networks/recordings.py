@@ -65,11 +65,12 @@ def decided(counts: np.ndarray, membranes: np.ndarray) -> np.ndarray:
 def accuracy_event_by_event(
     network: SpikingNetwork, recordings: Sequence[Recording]
 ) -> dict[str, Any]:
-    """How many recordings are right after their last event, and the microseconds of an event."""
+    """How many recordings are right after their last event, and the work and time of an event."""
     volume_after(network, recordings[0].events)
     n_right = 0
     us = []
     spikes = dict.fromkeys(network.layers, 0)
+    operations = dict.fromkeys(network.layers, 0)
     with progress(len(recordings), "event by event") as bar:
         for recording in recordings:
             started = work_clock()
@@ -78,6 +79,7 @@ def accuracy_event_by_event(
             n_right += int(decided(volume.spike_counts(), volume.membranes()) == recording.digit)
             for name in spikes:
                 spikes[name] += volume.spikes(name)
+                operations[name] += volume.additions(name)
             bar.update()
     n_events = sum(len(recording.events) for recording in recordings)
     return {
@@ -87,4 +89,5 @@ def accuracy_event_by_event(
         "events": n_events,
         "event_us": spread(np.array(us)),
         "spikes_an_event": {name: n / n_events for name, n in spikes.items()},
+        "operations_an_event": {name: n / n_events for name, n in operations.items()},
     }

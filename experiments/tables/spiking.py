@@ -69,17 +69,17 @@ def spiking_bins(report: dict[str, Any]) -> str:
 @of_report("spiking")
 def spiking_work(report: dict[str, Any]) -> str:
     """A table of spikes and synaptic operations an event, by layer."""
-    rows = []
-    for row in report.get("agreement", {"rows": {}})["rows"].values():
-        if "operations_an_event" not in row:
-            continue
-        operations = row["operations_an_event"]
-        spikes = {name: n / row["events"] for name, n in row["spikes"].items()}
-        for k, name in enumerate(operations):
-            rows.append([str(k + 1), f"{operations[name]:.0f}", f"{spikes[name]:.2f}"])
-        rows.append(
-            ["all layers", f"{sum(operations.values()):,.0f}", f"{sum(spikes.values()):.2f}"]
-        )
+    part = report.get("accuracy")
+    if part is None:
+        return "not measured"
+    operations = part["operations_an_event"]
+    spikes = part["spikes_an_event"]
+    rows = [
+        [str(k + 1), f"{operations[name]:.0f}", f"{spikes[name]:.2f}"]
+        for k, name in enumerate(operations)
+    ]
+    totals = sum(operations.values()), sum(spikes.values())
+    rows.append(["all layers", f"{totals[0]:,.0f}", f"{totals[1]:.2f}"])
     relus = report.get("cost", {}).get("relu_multiplications", {})
     words = {"1": "network of ReLUs, after an event", "whole": "network of ReLUs, a whole pass"}
     rows += [[words[name], f"{n:,.0f}", "-"] for name, n in relus.items()]

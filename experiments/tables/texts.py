@@ -247,7 +247,7 @@ leaking neurons take an Euler step where ours decay exactly, so they are not com
 
 *Bins*: sinabs in float32; events of one pixel in one step add up. `sinabs.from_nir` keeps membranes
 at -1 at least, which the graph does not say, so both are measured. *Work*: additions of a weight by
-convolutions and dense layers, on the recordings that are compared spike for spike. *ReLUs*: the
+convolutions and dense layers. *ReLUs*: the
 network of the same layers that the spiking one was made of, by `examples/nir_cnn.py`, in windows of
 105 ms, of which only what an event changes is computed."""
 

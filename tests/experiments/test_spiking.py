@@ -76,6 +76,10 @@ def events_of(n, seed=0):
     return events
 
 
+def compared(model, graph, network, events):
+    return compare(model, network, [events], stages_of(graph, torch.float64))
+
+
 def model_of(graph, reset="subtract"):
     return Model.from_nir(graph, classes=CLASSES, window_us=1_000_000, reset=reset, dt=STEP_S)
 
@@ -86,12 +90,13 @@ def graph():
 
 
 def test_the_same_network_agrees_spike_for_spike(graph):
-    stages = stages_of(graph, torch.float64)
-    report = compare(model_of(graph), plain_network(graph), [events_of(150)], stages)
+    report = compared(model_of(graph), graph, plain_network(graph), events_of(150))
     assert report["events"] == 150 and report["recordings"] == 1
     assert report["deviations"] == report["deviations_near"] == 0 and report["first"] == []
     assert all(n > 0 for n in report["spikes"].values())
     assert report["largest_difference"] < 1e-9 < report["nearest"]
+    assert report["operations"] == report["our_operations"]
+    assert all(n > 0 for n in report["operations"].values())
 
 
 def test_a_network_that_fires_later_differs_where_it_does(graph):
@@ -101,7 +106,7 @@ def test_a_network_that_fires_later_differs_where_it_does(graph):
     first = next(
         k for k in range(150) if sum(compared_spikes(model, graph, events[: k + 1]).values())
     )
-    report = compare(model, plain_network(graph, late=150), [events])
+    report = compared(model, graph, plain_network(graph, late=150), events)
     assert report["deviations"] == 1 and report["deviations_near"] == 0
     assert report["events"] == first
     (found,) = report["first"]
@@ -110,7 +115,7 @@ def test_a_network_that_fires_later_differs_where_it_does(graph):
 
 
 def compared_spikes(model, graph, events):
-    return compare(model, plain_network(graph), [events])["spikes"]
+    return compared(model, graph, plain_network(graph), events)["spikes"]
 
 
 def one_pixel_graph(weight):
@@ -133,7 +138,7 @@ def test_a_membrane_at_its_threshold_is_counted_apart():
     events = events_of(6)
     for name in "xy":
         events[name] = 1
-    report = compare(model_of(graph), plain_network(graph, at_threshold=True), [events])
+    report = compared(model_of(graph), graph, plain_network(graph, at_threshold=True), events)
     assert (report["deviations"], report["deviations_near"], report["events"]) == (0, 1, 1)
     assert report["first"][0]["margin"] == 0.0 and report["first"][0]["neurons"] == 10
 
@@ -209,7 +214,7 @@ def test_sinabs_agrees_spike_for_spike_and_bins_of_one_event_decide_alike(graph,
 
     events = events_of(150)
     network = S.SteppedNetwork(stages, neurons)
-    report = compare(model_of(graph), network, [events])
+    report = compared(model_of(graph), graph, network, events)
     assert report["events"] == 150 and report["deviations"] + report["deviations_near"] == 0
 
     digits = [Recording(events_of(60, seed), seed % 10) for seed in range(3)]
@@ -228,7 +233,7 @@ def test_norse_agrees_spike_for_spike(without_warnings):
         stages_of(graph, torch.float64),
         lambda node: S.NorseNeurons(node, torch.float64, records=True),
     )
-    report = compare(model_of(graph, "value"), network, [events_of(600)])
+    report = compared(model_of(graph, "value"), graph, network, events_of(600))
     assert report["events"] == 600 and report["deviations"] + report["deviations_near"] == 0
     assert all(n > 0 for n in report["spikes"].values())
 
@@ -243,7 +248,7 @@ def test_snntorch_agrees_spike_for_spike(reset, ours, without_warnings):
             node, torch.float64, step_s=STEP_S, reset=reset, records=True
         ),
     )
-    report = compare(model_of(graph, ours), network, [events_of(600)])
+    report = compared(model_of(graph, ours), graph, network, events_of(600))
     assert report["events"] == 600 and report["deviations"] + report["deviations_near"] == 0
     assert all(n > 0 for n in report["spikes"].values())
 
