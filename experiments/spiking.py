@@ -31,7 +31,7 @@ import argparse
 import os
 import runpy
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -172,13 +172,13 @@ def sinabs_network(graph: Any, dtype: torch.dtype, lowest: float | None, records
 # -- parts -----------------------------------------------------------------------------------------
 
 
-def accuracy(subject: Subject) -> dict[str, Any]:
+def accuracy(subject: Subject) -> Iterator[dict[str, Any]]:
     """Our accuracy, event by event, beside the published ones."""
     numbers = accuracy_event_by_event(SpikingNetwork(subject.model), subject.recordings)
-    return {**numbers, "published": PUBLISHED}
+    yield {**numbers, "published": PUBLISHED}
 
 
-def agreement(subject: Subject) -> dict[str, Any]:
+def agreement(subject: Subject) -> Iterator[dict[str, Any]]:
     """Spikes beside those of simulators."""
     missing = missing_simulators()
     sizes = subject.sizes
@@ -201,7 +201,7 @@ def agreement(subject: Subject) -> dict[str, Any]:
             stages = stages_of(graph, torch.float64)
             network = SteppedNetwork(stages, neurons)
             rows[name] = compare(of_graph(graph, reset, window_us), network, packets, stages)
-    return {"rows": rows, "left_out": missing}
+    yield {"rows": rows, "left_out": missing}
 
 
 def _others() -> list[tuple[str, str, Any, str, Callable[[Any], Any]]]:
@@ -229,7 +229,7 @@ def _evenly(events: np.ndarray) -> np.ndarray:
     return moved
 
 
-def cost(subject: Subject) -> dict[str, Any]:
+def cost(subject: Subject) -> Iterator[dict[str, Any]]:
     """Times of an event, a time step and a recording."""
     missing = missing_simulators()
     stages = stages_of(subject.graph, torch.float32)
@@ -261,32 +261,35 @@ def cost(subject: Subject) -> dict[str, Any]:
         touched = bench_touched(model, windows, moments=subject.sizes.moments)
         relus = {name: touched[name]["multiplications"] for name in ("1", "whole")}
     numbers = times(subject.model, others, simulators, recordings, subject.sizes.rounds)
-    return {**numbers, "relu_multiplications": relus, "left_out": missing}
+    yield {**numbers, "relu_multiplications": relus, "left_out": missing}
 
 
-def bins(subject: Subject) -> dict[str, Any]:
+def bins(subject: Subject) -> Iterator[dict[str, Any]]:
     """Accuracy of sinabs in bins."""
     missing = missing_simulators()
     if SINABS in missing:
-        return {"accuracy": {}, "left_out": {SINABS: missing[SINABS]}}
-    rows: dict[str, dict[str, Any]] = {}
-    for name, lowest in FLOORS.items():
-        network = sinabs_network(subject.graph, torch.float32, lowest, "last")
-        rows[name] = {}
-        for ms in subject.sizes.bins_ms:
-            width_us = None if ms is None else round(1e3 * ms)
-            key = "event" if ms is None else f"{ms:g}"
+        yield {"accuracy": {}, "left_out": {SINABS: missing[SINABS]}}
+        return
+    networks = {
+        name: sinabs_network(subject.graph, torch.float32, lowest, "last")
+        for name, lowest in FLOORS.items()
+    }
+    rows: dict[str, dict[str, Any]] = {name: {} for name in networks}
+    for ms in subject.sizes.bins_ms:
+        width_us = None if ms is None else round(1e3 * ms)
+        key = "event" if ms is None else f"{ms:g}"
+        for name, network in networks.items():
             rows[name][key] = binned_accuracy(network, subject.recordings, width_us, SENSOR)
-    return {"accuracy": rows, "left_out": {}}
+        yield {"accuracy": rows, "left_out": {}}
 
 
-MEASURE: dict[str, Callable[[Subject], dict[str, Any]]] = {
+MEASURE: dict[str, Callable[[Subject], Iterator[dict[str, Any]]]] = {
     "accuracy": accuracy,
     "agreement": agreement,
     "cost": cost,
     "bins": bins,
 }
-"""Part of the report -> what measures it."""
+"""Part of the report -> what measures it. It yields the part's numbers each time there are more."""
 
 
 # -- the command -----------------------------------------------------------------------------------
@@ -312,16 +315,16 @@ def subject_of(args: argparse.Namespace, quick: bool) -> Subject:
 
 
 def measure(args: argparse.Namespace, quick: bool) -> dict[str, Any]:
-    """The report. Each part is written as soon as it is measured."""
+    """The report. What is measured of a part is written at once."""
     subject = subject_of(args, quick)
     report = earlier_parts(args)
     with one_thread(True), warnings.catch_warnings(), progress(len(args.parts), "parts") as bar:
         # of libraries that call parts of torch that will go
         warnings.simplefilter("ignore", DeprecationWarning)
         for name in args.parts:
-            numbers = MEASURE[name](subject)
-            report[name] = {**numbers, "quick": quick, "machine": machine(*PACKAGES)}
-            write_part(args, name, report[name])
+            for numbers in MEASURE[name](subject):
+                report[name] = {**numbers, "quick": quick, "machine": machine(*PACKAGES)}
+                write_part(args, name, report[name])
             bar.update()
     return report
 
