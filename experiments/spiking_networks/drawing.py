@@ -13,7 +13,6 @@ from async_tnt.views.figure_style import (
     axes_at,
     headline,
     new_figure,
-    note,
     write_at,
 )
 
@@ -56,15 +55,14 @@ def draw_bins(report: dict[str, Any]) -> Figure:
                 label=WORDS[name] if is_line else None,
             )
     ours = report["accuracy"]["accuracy"]
-    axes.axhline(ours, color=TEXT, lw=1, ls="--")
-    note(axes, f"async_tnt, event by event: {ours:.3f}", (left, ours), (6, 5))
+    axes.axhline(ours, color=TEXT, lw=1, ls="--", label="async_tnt, event by event")
     axes.set_xscale("log")
     axes.set_xticks([left, *widths], ["an event", *(f"{ms:g}" for ms in widths)])
     axes.minorticks_off()
     axes.set_xlabel("width of a time step (ms)")
     axes.set_ylabel("recordings right")
     axes.grid(axis="y", color=PALE, lw=0.5)
-    axes.legend(loc="lower left")
+    axes.legend(loc="lower center")
     headline(figure, "The same spiking network, in time steps of several widths")
     n = report["accuracy"]["recordings"]
     words = f"{n:,} of N-MNIST's official test recordings"

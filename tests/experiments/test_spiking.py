@@ -26,6 +26,7 @@ from experiments.spiking_networks.graphs import (  # noqa: E402
 from experiments.spiking_networks.recordings import Recording, decided  # noqa: E402
 from experiments.spiking_networks.work import Operations, fan_out  # noqa: E402
 from experiments.tables import spiking as tables  # noqa: E402
+from experiments.tables.parts import results  # noqa: E402
 
 STEP_S = 1e-4
 
@@ -256,3 +257,15 @@ def test_snntorch_agrees_spike_for_spike(reset, ours, without_warnings):
 def test_tables_of_a_report_without_parts_say_so():
     assert tables.spiking_accuracy({}) == tables.spiking_bins({}) == "not measured"
     assert tables.spiking_times({}) == tables.spiking_machine({}) == "not measured"
+
+
+def test_the_recorded_simulators_agree_spike_for_spike():
+    parts = results("spiking")
+    rows = parts["agreement"]["rows"]
+    assert len(rows) == 4 and not parts["agreement"]["left_out"]
+    for row in rows.values():
+        assert row["deviations"] == row["deviations_near"] == 0
+        assert row["operations"] == row["our_operations"]
+        assert all(n > 0 for n in row["spikes"].values())
+    assert parts["accuracy"]["recordings"] == 1_000
+    assert not any(part["quick"] for part in parts.values())
