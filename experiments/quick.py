@@ -45,6 +45,7 @@ QUICK = {
     "nothing": "--quick",
     "pixel_outputs": "--quick --json {out}/x.json",
     "recipes": "--nmnist {nmnist} --sets nmnist --candidates counts --out {out}",
+    "spiking": "--quick --nmnist {nmnist} --json {out}/x.json",
     "starts": "--quick",
     "sliding": "--quick --json {out}/x.json",
     "sustained": "--quick",

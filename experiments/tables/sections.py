@@ -13,6 +13,7 @@ from experiments.tables import (
     flow,
     published,
     sliding,
+    spiking,
     streams,
     thesis,
 )
@@ -38,6 +39,7 @@ from experiments.tables.texts import (
     RECIPE,
     SIMULATED,
     SLIDING,
+    SPIKING,
     STARTS,
     SUSTAINED,
     THESIS,
@@ -407,6 +409,27 @@ SECTIONS = (
             sliding.sliding_events: "An event into an image of counts, in packets of 1,300",
             sliding.sliding_decisions: "A decision after every event, RoShamBo's network",
             sliding.sliding_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Spiking networks",
+        text=SPIKING,
+        command=(
+            "experiments.spiking --json experiments/results/spiking.json --picture "
+            "docs/images/spiking_bins.png"
+        ),
+        picture="spiking_bins",
+        tables={
+            spiking.spiking_accuracy: "Accuracy on N-MNIST",
+            spiking.spiking_agreement: (
+                "Spike for spike beside simulators, one event in each time step"
+            ),
+            spiking.spiking_bins: "Accuracy of sinabs by the width of a time step",
+            spiking.spiking_work: "Work of an event, by layer",
+            spiking.spiking_times: (
+                "Processor time of an event or of a time step with one event, and of a recording"
+            ),
+            spiking.spiking_machine: "Machine",
         },
     ),
     Section(

@@ -237,6 +237,29 @@ whole network. An event that comes and one that leaves change two places, so a g
 two new events a decision does the same work. `window_events` computes its image again from all
 events."""
 
+SPIKING = """\
+The spiking network of the NIR paper for N-MNIST (J. E. Pedersen et al. 2024,
+[doi:10.1038/s41467-024-52259-9](https://doi.org/10.1038/s41467-024-52259-9)), `cnn_sinabs.nir` of
+its repository. An event is a unit impulse at its pixel, and goes through all layers at its own
+time; a recording is one window, in which neurons are never reset. The recordings are 1,000 of the
+10,000 of the official test, 100 of each digit. *Published* numbers are the paper's, on all 10,000
+and in time bins: nothing here measured them.
+
+*Spike for spike*: sinabs' integrating neurons, built by hand of the graph's weights in float64, get
+one event in each time step. After every event are compared the spikes of each layer, those of each
+output, and the membrane of each neuron; after a recording, the additions that spikes cause. NIR's
+neurons fire above the threshold, sinabs' at it, and programs round sums in other orders, so that a
+difference that begins at a membrane within 1e-5 of a threshold is counted apart; the rest of its
+recording is not compared. Norse resets to a value, and snnTorch's neurons leak by a factor in each
+step; they run small graphs with random weights, whose events are one step apart. snnTorch resets in
+the next step by default, here at once. Norse's leaking neurons take an Euler step where ours decay
+exactly, so they are not compared.
+
+*Bins*: sinabs in float32; events of one pixel in one step add up. `sinabs.from_nir` keeps membranes
+at -1 at least, which the graph does not say, so both are measured. *Work*: additions of a weight by
+convolutions and dense layers. *ReLUs*: the network of the same layers that the spiking one was made
+of, by `examples/nir_cnn.py`, in windows of 105 ms. Only what an event changes is computed."""
+
 THREADS = """\
 Two streams in two threads of one process: the time of one after the other, divided by that of
 both at once; quartiles lie up to .1 away."""
