@@ -32,7 +32,8 @@ WORDS = {
 def draw_bins(report: dict[str, Any]) -> Figure:
     """Draw the share of recordings that are right against the width of the bins.
 
-    A line shows our engine, event by event. Marks at the left show one event in each time step.
+    A line shows our engine, event by event. Marks at the left show one event in each time step, if
+    that was measured.
     """
     figure = new_figure(3.9)
     axes = axes_at(figure, 0.8, 0.85, 9.2, 2.4)
@@ -57,7 +58,10 @@ def draw_bins(report: dict[str, Any]) -> Figure:
     ours = report["accuracy"]["accuracy"]
     axes.axhline(ours, color=TEXT, lw=1, ls="--", label="async_tnt, event by event")
     axes.set_xscale("log")
-    axes.set_xticks([left, *widths], ["an event", *(f"{ms:g}" for ms in widths)])
+    names = {ms: f"{ms:g}" for ms in widths}
+    if any("event" in rows for rows in bins.values()):
+        names = {left: "an event", **names}
+    axes.set_xticks(list(names), list(names.values()))
     axes.minorticks_off()
     axes.set_xlabel("width of a time step (ms)")
     axes.set_ylabel("recordings right")
