@@ -32,18 +32,14 @@ from async_tnt.streaming.output import AnswerT
 from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
 from async_tnt.streaming.saved_state import dump_state, load_state, named_networks
 from async_tnt.streaming.stream_networks import networks_of
+from async_tnt.streaming.stretches import STRETCH, TRIGGER_NAMES
 from async_tnt.streaming.triggers import (
     TriggerAttributes,
     Triggers,
     TriggerSettings,
     warn_if_never_due,
 )
-from async_tnt.streaming.window_classifier import (
-    STRETCH,
-    TRIGGER_NAMES,
-    Classifier,
-    WindowClassifier,
-)
+from async_tnt.streaming.window_classifier import Classifier, WindowClassifier
 from async_tnt.streaming.window_outputs import WindowOutputs
 from async_tnt.streaming.window_spikes import WindowSpikes
 from async_tnt.streaming.windows import WindowScheduler
@@ -432,7 +428,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         """
         oldest = self._windows.oldest
         self._windows.begin_sharing(columns, first)
-        assert isinstance(self._classifier, WindowClassifier)
+        assert not isinstance(self._classifier, WindowOutputs)
         absorbed, new_decisions, error = self._classifier.decide_stretch(
             oldest, self._triggers.state, columns, first, columns.n
         )
@@ -693,7 +689,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
             self._classifier.decides_in_stretches and not times_several_windows
         )
         if self._decides_in_stretches and (settings.by_event or settings.every_us is not None):
-            assert isinstance(self._classifier, WindowClassifier)
+            assert not isinstance(self._classifier, WindowOutputs)
             self._classifier.prepare_stretches()
 
     @one_at_a_time

@@ -9,8 +9,7 @@ import numpy as np
 
 from async_tnt.base.checks import ParameterTypeError, ParameterValueError
 from async_tnt.base.messages import one_line, short
-from async_tnt.kernels.decisions import trigger as T
-from async_tnt.kernels.decisions.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
+from async_tnt.kernels.decisions.classify import softmax
 from async_tnt.kernels.decisions.objects import N_KNOWN, NEXT_NUMBER, locate_on_map
 from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.volume.readout import cells_to_float32
@@ -24,23 +23,12 @@ from async_tnt.networks.models.objects import (
     new_tracks,
 )
 from async_tnt.streaming.decision import Decision, Object, Trigger
+from async_tnt.streaming.stretches import decide_stretch, not_finite_error
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import Columns
 from async_tnt.volume.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
-
-TRIGGER_NAMES: dict[int, Trigger] = {
-    T.ONLY_IF_SURE: "confidence",
-    T.BY_EVENTS: "every_events",
-    T.BY_CONFIDENCE: "confidence",
-    T.BY_TIME: "every_us",
-}
-"""Number of the cause, as a kernel states it -> trigger of the Decision."""
-ROWS = 256
-"""The most decisions that one compiled call makes."""
-STRETCH = 500
-"""The fewest events for which one compiled call saves time, if decisions are due by time alone."""
 
 
 class WindowClassifier:
@@ -208,7 +196,7 @@ class WindowClassifier:
             index = softmax.call(logits, probabilities) if logits.size else -1
 
         if index < 0 and logits.size:
-            raise _not_finite_error(logits)
+            raise not_finite_error(logits)
         classes = self._classes_for(logits.size)
         if confidence is not None and probabilities[index] >= confidence:
             trigger = "confidence"
@@ -310,52 +298,18 @@ class WindowClassifier:
 
         Returns
         -------
-        absorbed : int, the first event not added. It is `last`, the first event at or past the
-            volume's limit, or the event after a decision that reached the level of confidence.
-        decisions : list of Decision, in order.
-        error : ValueError if the next decision would have logits that are not finite, else None.
+        See `stretches.decide_stretch`.
         """
         compiled = self._compiled
         assert compiled is not None
-        classes = self._classes_for(compiled.n_classes)
-        n_classes = len(classes)
-        every_events = int(triggers.view(np.int64)[T.EVERY_EVENTS])
 
-        blocks = []
-        absorbed = first
-        outcome = FULL
-        while outcome == FULL:
-            # These arrays have room for the decisions of most packets. If they are full, the next
-            # call goes on with new arrays.
-            n_rows = last - absorbed
-            if every_events:
-                n_rows = n_rows // every_events + 1
-            logits = np.empty((min(ROWS, n_rows), n_classes), np.float32)
-            probabilities = np.empty(logits.shape)
-            notes = np.empty((len(logits), DECISION_FIELDS), np.int64)
-            absorbed, n, outcome = compiled.decide_stretch(
-                volume.buffer, columns, absorbed, last, triggers, logits, probabilities, notes
+        def call(absorbed: int, *answers: np.ndarray) -> tuple[int, int, int]:
+            return compiled.decide_stretch(
+                volume.buffer, columns, absorbed, last, triggers, *answers
             )
-            blocks.append((notes[:n].tolist(), probabilities, logits))
 
-        start_us = volume.start_us
-        decisions = []
-        for rows, block_probabilities, block_logits in blocks:
-            for k, (n_events, time_us, why, index) in enumerate(rows):
-                decision = Decision(
-                    classes[index],
-                    index,
-                    block_probabilities[k],
-                    block_logits[k],
-                    start_us,
-                    time_us,
-                    n_events,
-                    why == T.BY_CONFIDENCE,
-                    TRIGGER_NAMES[why],
-                )
-                decisions.append(decision)
-        error = _not_finite_error(logits[n]) if outcome == NOT_FINITE else None
-        return absorbed, decisions, error
+        classes = self._classes_for(compiled.n_classes)
+        return decide_stretch(call, classes, triggers, volume.start_us, first, last)
 
     def _classes_for(self, n: int, *, is_map: bool = False) -> tuple[str, ...]:
         """The class names of `n` logits; made at the first answer if none were given.
@@ -381,8 +335,3 @@ def _check_confidence(reader: ObjectReader | None, confidence: float | None) -> 
     if reader is not None and confidence is not None:
         rule = "needs one answer for the window; a map model finds objects"
         raise ParameterValueError("confidence", rule)
-
-
-def _not_finite_error(logits: np.ndarray) -> ParameterValueError:
-    got = short(logits.tolist())
-    return ParameterValueError("classifier", "must return finite logits", got)

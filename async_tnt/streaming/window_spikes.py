@@ -9,11 +9,15 @@ import numpy as np
 from async_tnt.base.box import Box
 from async_tnt.base.checks import ParameterTypeError, ParameterValueError
 from async_tnt.base.messages import short
+from async_tnt.kernels.entry_points import prepare
+from async_tnt.kernels.spiking.decide import absorb_spikes_and_decide
 from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.networks.models.spiking_volume import SpikingVolume
 from async_tnt.networks.spiking.outputs import FIRST_SPIKES, MEMBRANES, SPIKES
 from async_tnt.streaming.decision import Decision, Trigger
 from async_tnt.streaming.output import Output
+from async_tnt.streaming.stretches import decide_stretch, not_finite_error
+from async_tnt.volume.events import Columns
 from async_tnt.volume.volume import TNTVolume
 
 
@@ -35,17 +39,16 @@ class WindowSpikes:
     classifier : the network, which stands where other streams have a classifier.
     classes : class names.
     outputs : name of a raw output -> its shape.
-    decides_in_stretches : False.
+    decides_in_stretches : whether `decide_stretch` can be called: answers are decisions.
     answers_are_views : whether answers are `Output` values.
     """
-
-    decides_in_stretches = False
 
     def __init__(
         self, network: SpikingNetwork, classes: tuple[str, ...], confidence: float | None
     ) -> None:
         self.classes: tuple[str, ...] | None = classes
         self.answers_are_views = not classes
+        self.decides_in_stretches = bool(classes)
         self.classifier = network
         self.outputs = network.outputs
         self.check_confidence(confidence)
@@ -65,6 +68,21 @@ class WindowSpikes:
             rule = "is for models with classes; this one has raw outputs"
             raise ParameterValueError("confidence", rule)
 
+    def prepare_stretches(self) -> None:
+        """Compile the kernel of `decide_stretch`, so that no event waits for the compiler."""
+        prepare(absorb_spikes_and_decide)
+
+    def decide_stretch(
+        self, volume: TNTVolume, triggers: np.ndarray, columns: Columns, first: int, last: int
+    ) -> tuple[int, list[Decision], ValueError | None]:
+        """Add events to a volume, and decide: see `WindowClassifier.decide_stretch`."""
+        assert isinstance(volume, SpikingVolume) and self.classes is not None
+
+        def call(absorbed: int, *answers: np.ndarray) -> tuple[int, int, int]:
+            return volume.decide_stretch(columns, absorbed, last, triggers, *answers)
+
+        return decide_stretch(call, self.classes, triggers, volume.start_us, first, last)
+
     def forget(self) -> None:
         """Do nothing: no answer depends on an earlier one."""
 
@@ -82,8 +100,7 @@ class WindowSpikes:
             return self._output(volume, window, trigger, complete)
         index, logits, probabilities = volume.answer()
         if index < 0:
-            got = short(logits.tolist())
-            raise ParameterValueError("classifier", "must have finite numbers", got)
+            raise not_finite_error(logits)
         if confidence is not None and probabilities[index] >= confidence:
             trigger = "confidence"
             complete = True

@@ -12,6 +12,7 @@ from async_tnt.kernels.entry_points import prepare
 from async_tnt.kernels.spiking import layout as L
 from async_tnt.kernels.spiking.absorb import absorb_one_spike, absorb_spikes
 from async_tnt.kernels.spiking.answer import answer_spikes
+from async_tnt.kernels.spiking.decide import absorb_spikes_and_decide
 from async_tnt.kernels.volume.absorb import REFUSED
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.spiking_network import SpikingNetwork
@@ -135,6 +136,29 @@ class SpikingVolume(TNTVolume):
             probabilities,
         )
         return index, logits, probabilities
+
+    def decide_stretch(
+        self, columns: Columns, first: int, last: int, trigger: np.ndarray, *answers: np.ndarray
+    ) -> tuple[int, int, int]:
+        """Absorb events and decide, in one compiled call.
+
+        See `kernels.spiking.decide.absorb_spikes_and_decide`. `answers` are its arrays for logits,
+        probabilities and notes.
+        """
+        program = self.network.program
+        result: tuple[int, int, int]
+        result = absorb_spikes_and_decide.call(
+            self._buffer,
+            *columns[:4],
+            first,
+            last,
+            trigger,
+            *program[:3],
+            self._state,
+            self.network.output_stage,
+            *answers,
+        )
+        return result
 
     # -- what the neurons did ----------------------------------------------------------------------
 
