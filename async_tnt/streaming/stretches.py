@@ -36,7 +36,6 @@ def decide_stretch(
     call: Call,
     classes: Sequence[str],
     triggers: np.ndarray,
-    start_us: int,
     first: int,
     last: int,
 ) -> tuple[int, list[Decision], ValueError | None]:
@@ -47,7 +46,6 @@ def decide_stretch(
     call : the compiled call.
     classes : class names.
     triggers : float64, see `kernels.decisions.trigger`.
-    start_us : start of the window.
 
     Returns
     -------
@@ -74,7 +72,7 @@ def decide_stretch(
 
     decisions = []
     for rows, block_probabilities, block_logits in blocks:
-        for k, (n_events, time_us, why, index) in enumerate(rows):
+        for k, (n_events, time_us, why, index, start_us) in enumerate(rows):
             decision = Decision(
                 classes[index],
                 index,

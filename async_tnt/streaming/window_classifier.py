@@ -89,10 +89,7 @@ class WindowClassifier:
         _check_confidence(reader, confidence)
         tracks = self._new_tracks(reader, classifier)
         decides_in_stretches = (
-            compiled is not None
-            and reader is None
-            and not self._config.needs_replay
-            and not self._config.slides
+            compiled is not None and reader is None and not self._config.needs_replay
         )
 
         # plain assignments in a row: no exception, such as Ctrl-C, can come between them
@@ -309,7 +306,7 @@ class WindowClassifier:
             )
 
         classes = self._classes_for(compiled.n_classes)
-        return decide_stretch(call, classes, triggers, volume.start_us, first, last)
+        return decide_stretch(call, classes, triggers, first, last)
 
     def _classes_for(self, n: int, *, is_map: bool = False) -> tuple[str, ...]:
         """The class names of `n` logits; made at the first answer if none were given.

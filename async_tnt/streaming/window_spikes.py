@@ -81,7 +81,7 @@ class WindowSpikes:
         def call(absorbed: int, *answers: np.ndarray) -> tuple[int, int, int]:
             return volume.decide_stretch(columns, absorbed, last, triggers, *answers)
 
-        return decide_stretch(call, self.classes, triggers, volume.start_us, first, last)
+        return decide_stretch(call, self.classes, triggers, first, last)
 
     def forget(self) -> None:
         """Do nothing: no answer depends on an earlier one."""

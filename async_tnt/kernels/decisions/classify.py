@@ -9,6 +9,7 @@ from numba import float32, float64, int64
 
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.lock import LARGE, release_gil, take_gil
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.empty_window import begin_window
@@ -17,6 +18,7 @@ from async_tnt.kernels.network.sync_input import sync_input
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import absorb
 from async_tnt.kernels.volume.records import COLUMNS
+from async_tnt.kernels.volume.sliding import advance, oldest_us
 
 # why `absorb_and_decide` returned
 DONE = 0  # all events up to `last`, or to the window's end, have been absorbed
@@ -29,10 +31,37 @@ NOTED_EVENTS = 0  # events of the window
 NOTED_NEWEST_US = 1  # time of the newest event of the window
 NOTED_TRIGGER = 2  # why it was due, see `trigger`
 NOTED_CLASS = 3
-DECISION_FIELDS = 4  # numbers in a row
+NOTED_START_US = 4  # start of the window; of one that slides, the time of its oldest event
+DECISION_FIELDS = 5  # numbers in a row
 
 DECISIONS = (float32[:, ::1], float64[:, ::1], int64[:, ::1])
 """Numba's types of the arrays of several decisions: logits, probabilities, notes."""
+
+
+@inlined
+def window_end_us(buffer, ints):
+    """The end of the open window; a window that slides has none."""
+    if ints[S.RING] != 0:
+        return np.int64(S.NEVER_US)
+    return ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
+
+
+@inlined
+def note_decision(notes, n, ints, why, best):
+    """Note what is known of a decision in a row of `notes`.
+
+    Parameters
+    ----------
+    notes : int64, (m, DECISION_FIELDS). Row n is overwritten.
+    ints : int64, the volume's `state`.
+    why, best : int. Why the decision was due, and its class.
+    """
+    is_sliding = ints[S.RING] != 0
+    notes[n, NOTED_EVENTS] = ints[S.RING_N] if is_sliding else ints[S.N]
+    notes[n, NOTED_NEWEST_US] = ints[S.NEWEST_US]
+    notes[n, NOTED_TRIGGER] = why
+    notes[n, NOTED_CLASS] = best
+    notes[n, NOTED_START_US] = oldest_us(ints) if is_sliding else ints[S.START_US]
 
 
 @entry_point(float32[::1], float64[::1])
@@ -94,7 +123,7 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
     T.TRIGGER,
     *P.NETWORK,
     *DECISIONS,
-    calls=(absorb, classify_cells, T.until_due, T.why_due, T.schedule),
+    calls=(absorb, advance, classify_cells, T.until_due, T.why_due, T.schedule),
     nogil=True,
 )
 def absorb_and_decide(
@@ -135,7 +164,7 @@ def absorb_and_decide(
     outcome = DONE
     ints = buffer.view(np.int64)
     trigger_ints = trigger.view(np.int64)
-    end_us = ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
+    end_us = window_end_us(buffer, ints)
     ints[S.WITHOUT_GIL] = 1
     while first < last:
         if n == len(notes):
@@ -156,6 +185,8 @@ def absorb_and_decide(
             why = T.why_due(trigger, n_before, ints[S.N])
 
         if why != T.NOT_DUE:
+            if why == T.BY_TIME and ints[S.RING] != 0:
+                advance(buffer, trigger_ints[T.DUE_US])
             best = classify_cells(
                 buffer, program, weights, maps, places, logits[n], probabilities[n]
             )
@@ -166,10 +197,7 @@ def absorb_and_decide(
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
                 trigger_ints[T.N_AT_DECISION] = ints[S.N]
-                notes[n, NOTED_EVENTS] = ints[S.N]
-                notes[n, NOTED_NEWEST_US] = ints[S.NEWEST_US]
-                notes[n, NOTED_TRIGGER] = why
-                notes[n, NOTED_CLASS] = best
+                note_decision(notes, n, ints, why, best)
                 n += 1
                 if why == T.BY_CONFIDENCE:
                     outcome = CLOSE

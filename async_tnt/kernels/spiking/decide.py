@@ -10,10 +10,7 @@ from async_tnt.kernels.decisions.classify import (
     DONE,
     FULL,
     NOT_FINITE,
-    NOTED_CLASS,
-    NOTED_EVENTS,
-    NOTED_NEWEST_US,
-    NOTED_TRIGGER,
+    note_decision,
 )
 from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.spiking import layout as L
@@ -98,10 +95,7 @@ def absorb_spikes_and_decide(
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
                 trigger_ints[T.N_AT_DECISION] = ints[S.N]
-                notes[n, NOTED_EVENTS] = ints[S.N]
-                notes[n, NOTED_NEWEST_US] = ints[S.NEWEST_US]
-                notes[n, NOTED_TRIGGER] = why
-                notes[n, NOTED_CLASS] = best
+                note_decision(notes, n, ints, why, best)
                 n += 1
                 if why == T.BY_CONFIDENCE:
                     outcome = CLOSE

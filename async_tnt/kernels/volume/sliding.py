@@ -221,6 +221,14 @@ def _let_leave(buffer, ints, left_us):
         _let_oldest_leave(buffer, ints)
 
 
+@inlined
+def oldest_us(ints):
+    """The time of the oldest event of the window; the newest time if the window is empty."""
+    if ints[S.RING_N] == 0:
+        return max(ints[S.START_US], ints[S.NEWEST_US])
+    return ints[ints[S.RING] + 2 * ints[S.RING_FIRST]]
+
+
 @entry_point(S.STATE, int64)
 def advance(buffer, now_us):
     """Let time pass in a window of a time: events that are too old by then leave.
