@@ -184,3 +184,36 @@ def test_flow_after_an_event_takes_a_small_part_of_a_whole_pass():
     assert us["first event of a new window"] > whole_us
     said("About a hundred events that come at once, all over the sensor, cost as much as a whole")
     assert 75 < 50 * whole_us / us["50 events at once"] < 150
+
+
+def test_a_spiking_network_is_that_of_simulators_and_costs_less():
+    report = results("spiking")
+    accuracy = report["accuracy"]
+    said("It is right for 985 of 1,000 recordings of the official test.")
+    assert (accuracy["right"], accuracy["recordings"]) == (985, 1_000)
+    said("it is what sinabs computes with one event in each time step, on 100 recordings.")
+    for row in report["agreement"]["rows"].values():
+        assert row["deviations"] == row["deviations_near"] == 0
+    us = {name: one["median"] for name, one in report["cost"]["event_us"].items()}
+    spiking_us, relu_us = said(
+        "An event with its decision takes # µs, and # µs in the network of ReLUs with the same "
+        "layers."
+    )
+    assert round(us["spiking, a decision after each"], 1) == spiking_us
+    assert round(us["ReLUs, a decision after each"], 1) == relu_us
+    (norse_us,) = said("A time step with one event takes # µs in Norse, the fastest")
+    assert round(us["Norse, a time step"]) == norse_us
+    assert norse_us < min(us["sinabs, a time step"], us["snnTorch, a time step"])
+
+
+def test_windows_that_slide_cost_little():
+    report = results("sliding")
+    said("An event costs less than twice as much as in a window that grows:")
+    ratios = [
+        ratio["median"]
+        for numbers in report["events"].values()
+        for name, ratio in numbers["ratio"].items()
+        if name != "growing"
+    ]
+    assert min(ratios) > 1 and max(ratios) < 2
+    assert report["decisions"]["ratio"] < 1.3
