@@ -30,6 +30,7 @@ FOUND_BY = {
 USERS = {
     "every_events": {
         "checking/equality.py": "checks streams with every trigger",
+        "checking/sliding.py": "checks a decision after every event",
         "streaming/compile_ahead.py": "makes streams with every kind of trigger",
         "cli/bench.py": "measures a decision after every event",
         "sources/queues/keep_up.py": "makes decisions rarer",
@@ -53,7 +54,7 @@ ALTERNATIVES = {
         "tests/networks/test_from_onnx.py",
     },
     "aedat": {"sources/files/library_readers.py", "sources/files/worker_source.py"},
-    "every_events": {"kernels/decisions/classify.py"},
+    "every_events": {"kernels/decisions/classify.py", "kernels/spiking/decide.py"},
 }
 """Example -> files that the recipe names for other ones of its kind."""
 
