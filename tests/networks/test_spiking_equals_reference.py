@@ -10,6 +10,9 @@ import os
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made import nasty_streams
 from networks.random_spiking import CONFIG, random_spiking_model
 
 from async_tnt.networks.models.spiking_volume import SpikingVolume
@@ -69,6 +72,16 @@ def compare_at_every_event(model, events, where):
 
 
 ALL = ("if", "lif", "cuba_lif", "threshold")
+
+
+@given(data=st.data())
+def test_hard_streams(data):
+    """Ties, bursts at one pixel, times that run backwards, the window's first microsecond."""
+    ops = data.draw(st.sampled_from([("if",), ALL]))
+    model = random_spiking_model(data.draw(st.integers(0, 500)), ops=ops)
+    events = data.draw(nasty_streams(CONFIG.sensor, CONFIG.window_us, 0, max_events=40))
+    columns = np.stack([events[name].astype(np.int64) for name in "txyp"], axis=1)
+    compare_at_every_event(model, columns, ())
 
 
 @pytest.mark.parametrize("ops", [("if",), ("if", "lif"), ("cuba_lif",), ALL], ids="+".join)

@@ -142,6 +142,24 @@ def test_spiking_network(lines_of):
     assert re.fullmatch(r"layer \S+: 0\.10\d spikes and 2\.0 additions an event", last)
 
 
+def test_spikes_equal_sinabs(lines_of, tmp_path):
+    pytest.importorskip("sinabs", reason="the other side of the comparison")
+    nir = pytest.importorskip("nir", reason="needs the extra `nir`")
+    rng = np.random.default_rng(0)
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 34, 34])}),
+        nir.Conv2d((34, 34), rng.normal(size=(4, 2, 3, 3)), 2, 1, 1, 1, np.zeros(4)),
+        nir.IF(r=np.ones((4, 17, 17)), v_threshold=np.ones((4, 17, 17))),
+        nir.Flatten({"input": np.array([4, 17, 17])}, start_dim=0, end_dim=-1),
+        nir.Linear(rng.normal(size=(3, 4 * 17 * 17))),
+        nir.IF(r=np.ones(3), v_threshold=np.ones(3)),
+        nir.Output({"output": np.array([3])}),
+    )
+    nir.write(tmp_path / "net.nir", graph)
+    (line,) = lines_of("spikes_equal_sinabs.py", "net.nir", str(sample_recordings()[3]))
+    assert line.startswith("1,000 events, the same spikes after each of them; by layer ")
+
+
 def test_flow_per_event(lines_of, tmp_path, monkeypatch):
     """With --quick it is trained hardly at all: all ways are compared, and the picture is drawn."""
     pytest.importorskip("torch", reason="the network needs torch")
