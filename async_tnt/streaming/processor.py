@@ -476,6 +476,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         # that reaches the confidence is a decision.
         if why == ONLY_IF_SURE and not decision.complete:
             return []
+        triggers.n_at_decision = oldest.n_arrived
         return [decision]
 
     def _advance(self, t_us: int, decisions: list[AnswerT]) -> None:
@@ -491,6 +492,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
                     oldest.advance(triggers.next_due_us)
                     confidence = triggers.settings.confidence
                     new_decisions = [self._decide(decisions, "every_us", confidence=confidence)]
+                    triggers.n_at_decision = oldest.n_arrived
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new_decisions, t_us, decisions)
             elif end_us <= t_us:
@@ -519,8 +521,6 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     def _accept(self, new: list[AnswerT], now_us: int, decisions: list[AnswerT]) -> None:
         """Append new decisions about the oldest window. A complete decision closes it early."""
         decisions += new
-        if new:
-            self._triggers.n_at_decision = self._windows.oldest.n_arrived
         if new and new[-1].complete:
             self._stream_time_us = max(self._newest_us, now_us)
             self._windows.close_oldest(early=True)

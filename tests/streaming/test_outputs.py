@@ -50,6 +50,8 @@ def test_after_every_event_the_outputs_have_the_bits_of_a_whole_pass():
         assert output["half"] is output.arrays[1]
 
 
+# a stream of hypothesis may look like one whose clock has begun again
+@pytest.mark.filterwarnings("ignore:times went back")
 @given(nasty_streams(CONFIG.sensor, 3000, 40), st.lists(st.integers(1, 60), min_size=1, max_size=5))
 def test_each_window_has_the_outputs_of_its_volume(events, sizes):
     seen = [window.volume for window in volumes([events], CONFIG)]

@@ -179,7 +179,9 @@ def test_a_configuration_is_a_value_of_pythons_own_numbers(number):
 )
 def test_a_configuration_survives_json(config):
     values = config.to_dict()
-    assert list(values) == [field.name for field in fields(TNTConfig)]
+    names = [field.name for field in fields(TNTConfig)]
+    # files of windows that end can be read by releases that know no others
+    assert list(values) == [name for name in names if name not in ("last_events", "last_us")]
     restored = TNTConfig.from_dict(json.loads(json.dumps(values)))
     assert restored == config and restored.to_dict() == values
 
@@ -190,7 +192,7 @@ def test_a_configuration_survives_json(config):
         (
             {"z": 9, "bins": 9, 1: 1},
             ValueError,
-            "unknown configuration 1, z; known: bins, grid, landmark, polarity, ",
+            "unknown configuration 1, z; known: bins, grid, landmark, last_events, last_us, ",
         ),
         (["bins"], TypeError, "a configuration must be a mapping of names to values, got ['bins']"),
         (
