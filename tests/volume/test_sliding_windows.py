@@ -1,5 +1,6 @@
 """Windows that slide hold the events that the definition names, at every moment."""
 
+import os
 import re
 
 import numpy as np
@@ -17,6 +18,9 @@ torch = pytest.importorskip("torch", reason="the reference needs torch")
 from tnt_reference import sliding  # noqa: E402
 
 SENSOR = (9, 8)
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))
+"""Number of random streams. ASYNC_TNT_FUZZ_CASES makes it a long run: it was 10,000 once."""
+
 WINDOWS = [{"last_events": n} for n in (1, 2, 7, 40)] + [{"last_us": t} for t in (1, 60, 400, 900)]
 POLARITIES = ("split", "signed", "unsigned")
 
@@ -76,6 +80,34 @@ def test_the_window_is_the_definition_at_every_event(window, polarity, data):
             assert (many.counts, many.moment()) == (one.counts, one.moment())
             first_us = inside["t"].min() if config.last_us else inside["t"][0]
             assert one.moment()[0] == first_us
+
+
+def test_random_streams():
+    """Longer streams, whose rings go round many times, and whose events come late."""
+    for seed in range(CASES):
+        rng = np.random.default_rng(seed)
+        window = {"last_events": int(rng.integers(1, 200))}
+        if rng.random() < 0.5:
+            window = {"last_us": int(rng.integers(1, 2_000))}
+        sensor = (int(rng.integers(2, 40)), int(rng.integers(2, 40)))
+        polarity = POLARITIES[rng.integers(3)]
+        config = config_of(sensor, polarity=polarity, **window)
+        n = int(rng.integers(1, 1_500))
+        events = random_events(
+            n, seed=seed, duration_us=int(rng.integers(1, 20_000)), sensor=sensor
+        )
+        late = rng.random(n) < 0.1
+        events["t"][late] = np.maximum(0, events["t"][late] - rng.integers(0, 3_000, late.sum()))
+        volume = TNTVolume(config)
+        volume.open(0)
+        done = 0
+        while done < n:
+            step = int(rng.integers(1, 400))
+            volume.update(events[done : done + step])
+            done = min(n, done + step)
+            inside = held(events[:done], config)
+            np.testing.assert_array_equal(volume.array, image(inside, config), str(seed))
+            assert volume.n_events == len(inside), seed
 
 
 def test_a_window_of_a_number_of_events_by_hand():
