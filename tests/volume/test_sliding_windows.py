@@ -21,6 +21,9 @@ SENSOR = (9, 8)
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))
 """Number of random streams. ASYNC_TNT_FUZZ_CASES makes it a long run: it was 10,000 once."""
 
+LONG_STREAM = int(os.environ.get("ASYNC_TNT_LONG_STREAM", "60000"))
+"""Number of events of the long stream. ASYNC_TNT_LONG_STREAM changes it: it was 20 million once."""
+
 WINDOWS = [{"last_events": n} for n in (1, 2, 7, 40)] + [{"last_us": t} for t in (1, 60, 400, 900)]
 POLARITIES = ("split", "signed", "unsigned")
 
@@ -108,6 +111,42 @@ def test_random_streams():
             inside = held(events[:done], config)
             np.testing.assert_array_equal(volume.array, image(inside, config), str(seed))
             assert volume.n_events == len(inside), seed
+
+
+@pytest.mark.parametrize("window", [{"last_events": 5_000}, {"last_us": 30_000}], ids=str)
+def test_a_map_over_a_long_stream(window):
+    """A network's value of each pixel follows the events that come and leave, late ones too."""
+    sensor = (64, 64)
+    config = config_of(sensor, **window)
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(
+        torch.nn.Conv2d(2, 8, 3, padding=1),
+        torch.nn.ReLU(),
+        torch.nn.Conv2d(8, 2, 3, padding=1),
+    )
+    processor = Processor(Model.from_torch(network.eval(), config))
+    network.double()
+    rng = np.random.default_rng(5)
+    recent = random_events(0, sensor=sensor)
+    now_us = 0
+    done = 0
+    while done < LONG_STREAM:
+        n = int(rng.integers(1, 8_000))
+        events = random_events(n, seed=done, sensor=sensor)
+        events["t"] = now_us + np.cumsum(rng.integers(0, 13, n))
+        now_us = int(events["t"][-1])
+        late = rng.random(n) < 0.01
+        events["t"][late] = np.maximum(0, events["t"][late] - rng.integers(0, 2_000, late.sum()))
+        processor.push(events)
+        done += n
+        # more than enough: 30 ms hold about 5,000 events here
+        recent = np.concatenate([recent, events])[-40_000:]
+        expected = image(held(recent, config), config)
+        np.testing.assert_array_equal(processor.volume(), expected)
+        with torch.no_grad():
+            values = network(torch.from_numpy(expected)[None])[0].numpy()
+        np.testing.assert_allclose(processor.fire()["output"], values, atol=1e-5)
+    assert processor.counts.received == done
 
 
 def test_a_window_of_a_number_of_events_by_hand():
