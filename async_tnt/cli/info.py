@@ -16,7 +16,14 @@ import numpy as np
 from async_tnt.base.files import user_path
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import SUFFIXES_TEXT, add_reading, reading_of, sample_or_path, size_of
-from async_tnt.cli.output import can_print, complain, message_of, reach_text, say
+from async_tnt.cli.output import (
+    EXPECTED_ERRORS,
+    can_print,
+    complain,
+    message_of,
+    reach_text,
+    say,
+)
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.nir.graph import Graph, in_order, read_graph
@@ -78,7 +85,7 @@ def main(args: argparse.Namespace) -> int:
             report, lines = _describe(
                 name, {"sensor": args.sensor, **reading_of(args)}, args.option_names
             )
-        except (OSError, ValueError, ImportError, MemoryError) as error:
+        except EXPECTED_ERRORS as error:
             if len(args.what) == 1:
                 raise
             message = message_of(error, args.option_names)
@@ -197,7 +204,7 @@ def _describe_folder(
                 seconds = (summary.last_us - summary.first_us) * 1e-6
                 lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {summary.events:>12,} events")
                 n_events += summary.events
-            except (OSError, ValueError, ImportError, MemoryError) as error:
+            except EXPECTED_ERRORS as error:
                 reports.append({"recording": str(path), "error": str(error)})
                 lines.append(f"{name} cannot be read: {message_of(error, option_names)}")
             bar.update()

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from async_tnt.networks.layers.reach import Work
     from async_tnt.sources.queues.background_reader import BackgroundReader
 
+EXPECTED_ERRORS = (OSError, ValueError, ImportError, MemoryError, NotImplementedError)
+"""Errors that a command reports in one line: something that came from outside is wrong, cannot be
+read, or contains what this release cannot do."""
 
 # -- text ------------------------------------------------------------------------------------------
 # Everything that a command prints passes through `say` or `note`. Names of files and classes come

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.cli.options import paths_of, positive_int
-from async_tnt.cli.output import complain
+from async_tnt.cli.output import EXPECTED_ERRORS, complain
 from async_tnt.sources.opening import open_source
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 
@@ -64,7 +64,7 @@ def check_sources(
             else:
                 with contextlib.closing(open_source(path, pixels.expected)) as source:
                     pixels.filter_of(path, source.sensor)
-        except (OSError, ValueError, ImportError, MemoryError) as error:
+        except EXPECTED_ERRORS as error:
             problems.append(error)
         else:
             return

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 
 from async_tnt.base.checks import ParameterError
 from async_tnt.base.package import __version__
-from async_tnt.cli.output import complain
+from async_tnt.cli.output import EXPECTED_ERRORS, complain
 from async_tnt.cli.parser import Parser, find_mistyped, refuse_dashes, refuse_removed
 from async_tnt.cli.signals import Signals, handled_by
 
@@ -107,7 +107,7 @@ def _run(argv: Sequence[str]) -> int:
     except BrokenPipeError:
         # the reader of stdout, such as `head`, wants no more lines, which is no error
         pass
-    except (OSError, ValueError, ParameterError, ImportError, MemoryError) as error:
+    except (*EXPECTED_ERRORS, ParameterError) as error:
         complain(error, option_names)
         code = 2
     except KeyboardInterrupt as error:

@@ -23,7 +23,14 @@ from async_tnt.cli.options import (
     refuse_graph,
     triggers_of,
 )
-from async_tnt.cli.output import DecisionLines, complain, complain_late, message_of, say
+from async_tnt.cli.output import (
+    EXPECTED_ERRORS,
+    DecisionLines,
+    complain,
+    complain_late,
+    message_of,
+    say,
+)
 from async_tnt.cli.packets import add_keep_up, check_keep_up, check_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, map_model_sensor, model_pixels_of, pixels_of
 from async_tnt.networks.engines import Engine, choose_engine
@@ -129,7 +136,7 @@ def main(args: argparse.Namespace) -> int:
                 _run_recording(run, path, map(select, recording))
         except BrokenPipeError:
             raise
-        except (OSError, ValueError, ImportError, MemoryError) as error:
+        except EXPECTED_ERRORS as error:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
                 # our output does not fit on its disk, so the error is not about this recording
                 raise

@@ -10,6 +10,7 @@ import pytest
 nir = pytest.importorskip("nir", reason="needs the extra `nir`")
 
 from async_tnt import Model, SpikingVolume, load_model  # noqa: E402
+from async_tnt.cli import main  # noqa: E402
 
 SHARED = Path(os.environ.get("TNT_DATA", Path(__file__).parents[4] / "shared" / "data")) / "nir"
 ONES = np.ones(2)
@@ -151,6 +152,32 @@ def test_a_recurrent_graph_names_a_node_of_the_circle():
         pytest.skip("no shared data: set TNT_DATA")
     with pytest.raises(NotImplementedError, match=r"'lif1\.lif' is part of a recurrent connection"):
         Model.from_nir(path, reset="subtract", dt=1e-4)
+
+
+def test_a_command_tells_a_graph_that_cannot_run_in_one_line(tmp_path, capsys):
+    """What this release cannot do is an error of the file, and not of the program."""
+    circle = nir.NIRGraph(
+        {
+            "input": nir.Input({"input": np.array([2, 3, 4])}),
+            "flat": nir.Flatten({"input": np.array([2, 3, 4])}, 0, -1),
+            "fc": nir.Linear(np.ones((24, 24), np.float32)),
+            "neurons": nir.IF(np.ones(24), np.ones(24)),
+            "output": nir.Output({"output": np.array([24])}),
+        },
+        [
+            ("input", "flat"),
+            ("flat", "fc"),
+            ("fc", "neurons"),
+            ("neurons", "fc"),
+            ("neurons", "output"),
+        ],
+    )
+    nir.write(tmp_path / "circle.nir", circle)
+    out = tmp_path / "net.safetensors"
+    arguments = ["export", str(tmp_path / "circle.nir"), "--reset", "subtract", "--out", str(out)]
+    assert main(arguments) == 2 and not out.exists()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is part of a recurrent connection" in line
 
 
 def test_parameters_for_graphs_are_refused_for_other_files(tmp_path):
