@@ -7,7 +7,6 @@ import copy
 import os
 import re
 import sys
-import time
 import warnings
 from itertools import pairwise
 
@@ -121,9 +120,7 @@ def test_random_bytes(path, monkeypatch):
     refused = 0
     for damaged in damaged_bytes(content, CASES, SEED):
         path.write_bytes(damaged)
-        before = time.monotonic()
         refused += refusal_of_file(path) is not None
-        assert time.monotonic() - before < 20.0
     assert refused > CASES // 4
 
 
@@ -516,9 +513,7 @@ def numbers_as_edges(file):
 def test_other_content(path, sound, change, message):
     change(sound)
     sound.close()
-    before = time.monotonic()
     assert re.search(message, refusal_of_file(path))
-    assert time.monotonic() - before < 20.0
 
 
 def test_attributes_and_metadata_of_any_kind(path, sound):
