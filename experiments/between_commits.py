@@ -1,11 +1,13 @@
 """Has an event or a decision become slower? Two checkouts take turns.
 
     python -m experiments.between_commits CHECKOUT [--models MODEL ...] [--rounds N] [--json FILE]
+    python -m experiments.between_commits CHECKOUT --graph GRAPH --recordings FILE ...
 
 CHECKOUT is a folder with another commit, such as `git worktree add ../before HEAD~20` makes it. Its
 `async-tnt bench` and that of this checkout take turns, each in a process of its own, and the table
 has the ratio of the medians: below 1, this checkout is faster. Both compile their kernels in a
-first run that is not counted.
+first run that is not counted. With --graph, a spiking network (.nir, reset by subtraction) takes
+the events of recordings instead.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,18 +45,16 @@ FIGURES = {
 }
 """Name of a figure -> where `async-tnt bench --json` has its median."""
 
+SPIKING_FIGURES = {
+    "us an event": "us_an_event",
+    "us an event with a decision": "us_an_event_and_decision",
+}
+"""Name of a figure -> its name in what `experiments/speed/spiking_events.py` prints."""
 
-def measured(checkout: Path, model: str) -> dict[str, float]:
+
+def of_bench(checkout: Path, model: str) -> dict[str, float]:
     """The figures of one run of a checkout's `async-tnt bench`."""
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "reference")]),
-        "OMP_NUM_THREADS": "1",
-    }
-    words = [sys.executable, "-m", "async_tnt", "bench", "--model", model, "--json"]
-    done = subprocess.run(
-        words, cwd=checkout, env=environment, capture_output=True, text=True, check=True
-    )
-    report = json.loads(done.stdout)
+    report = _output_of(checkout, ["-m", "async_tnt", "bench", "--model", model, "--json"])
     figures = {}
     for name, path in FIGURES.items():
         part: Any = report
@@ -63,22 +65,51 @@ def measured(checkout: Path, model: str) -> dict[str, float]:
     return figures
 
 
-def compared(other: Path, model: str, rounds: int) -> dict[str, dict[str, float]]:
-    """Name of a figure -> its medians in both checkouts, and the ratio of these.
+def of_graph(checkout: Path, graph: Path, recordings: Sequence[Path]) -> dict[str, float]:
+    """The figures of a spiking network, by a checkout's package."""
+    script = HERE / "experiments" / "speed" / "spiking_events.py"
+    report = _output_of(checkout, [str(script), str(graph), *map(str, recordings)])
+    return {name: report[key] for name, key in SPIKING_FIGURES.items()}
 
-    "spread" has the smallest and the largest ratio of two runs that follow each other.
+
+def _output_of(checkout: Path, words: list[str]) -> Any:
+    """What a Python program prints as JSON that imports the package of a checkout."""
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "reference")]),
+        "OMP_NUM_THREADS": "1",
+    }
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=checkout,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def compared(
+    other: Path, measure: Callable[[Path], dict[str, float]], rounds: int, words: str
+) -> dict[str, dict[str, float]]:
+    """Name of a figure -> its medians in both checkouts, and the median of their ratios.
+
+    "least" and "most" are the smallest and the largest ratio of two runs that follow each other.
+
+    measure : the figures of one run of a checkout.
+    words : what is measured, for the progress.
     """
     for checkout in (other, HERE):
-        measured(checkout, model)
+        measure(checkout)
     runs = []
-    with progress(rounds, model) as bar:
+    with progress(rounds, words) as bar:
         for k in range(rounds):
             order = (other, HERE) if k % 2 == 0 else (HERE, other)
-            one = {checkout: measured(checkout, model) for checkout in order}
+            one = {checkout: measure(checkout) for checkout in order}
             runs.append((one[other], one[HERE]))
             bar.update()
     numbers = {}
-    for name in FIGURES:
+    for name in runs[0][0]:
         before = np.array([run[0][name] for run in runs])
         now = np.array([run[1][name] for run in runs])
         ratios = now / before
@@ -119,6 +150,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--models", nargs="+", default=["digits", "digits-everywhere"], metavar="MODEL"
     )
+    parser.add_argument("--graph", type=Path, metavar="FILE", help="a .nir file, instead of models")
+    parser.add_argument(
+        "--recordings", nargs="+", type=Path, default=[], metavar="FILE", help="for --graph"
+    )
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="(default: 5)")
     parser.add_argument("--quick", action="store_true", help="one round of the first model")
     add_json(parser)
@@ -126,7 +161,19 @@ def main(argv: list[str] | None = None) -> int:
     if args.quick:
         args.models = args.models[:1]
         args.rounds = 1
-    report = {model: compared(args.checkout, model, args.rounds) for model in args.models}
+    if bool(args.graph) != bool(args.recordings):
+        parser.error("--graph and --recordings belong together")
+    report = {}
+    if args.graph:
+        measure = partial(
+            of_graph,
+            graph=args.graph.resolve(),
+            recordings=[path.resolve() for path in args.recordings],
+        )
+        report[args.graph.name] = compared(args.checkout, measure, args.rounds, args.graph.name)
+    for model in [] if args.graph else args.models:
+        measure = partial(of_bench, model=model)
+        report[model] = compared(args.checkout, measure, args.rounds, model)
     print(*table(report), sep="\n")
     write_outputs(args, {"figures": report, "machine": machine()})
     return 0

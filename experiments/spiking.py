@@ -16,6 +16,8 @@ cost        Times of an event, beside the network of ReLUs of the same layers (-
             examples/nir_cnn.py) and beside simulators on this processor.
 bins        Accuracy of sinabs in time steps of several widths. Its reader of NIR graphs keeps
             membranes at -1 at least, which the graph does not say; so both are measured.
+conversion  Accuracy of the network of ReLUs, and of the spiking networks that `spiking_from_rates`
+            makes of it. Train/<digit>/<name>.bin says how large its activations are.
 
 FILE keeps the parts that this run does not measure. Simulators that are not installed are left out
 and named. `pip install '.[spiking]'` installs snnTorch (MIT) and Norse (LGPL-3.0). sinabs
@@ -42,7 +44,7 @@ if __name__ == "__main__":  # libraries read these variables when they are impor
 import numpy as np
 import torch
 
-from async_tnt import Model
+from async_tnt import Model, TNTConfig
 from async_tnt.base.progress import progress
 from async_tnt.networks.models.spiking_network import SpikingNetwork
 from experiments.digit_data.recordings import CLASSES
@@ -61,6 +63,7 @@ from experiments.speed.timing import machine, one_thread
 from experiments.speed.touched import bench_touched
 from experiments.spiking_networks.agreement import compare
 from experiments.spiking_networks.bins import binned_accuracy
+from experiments.spiking_networks.conversion import conversion_accuracy
 from experiments.spiking_networks.cost import times
 from experiments.spiking_networks.drawing import draw_bins
 from experiments.spiking_networks.graphs import (
@@ -87,7 +90,7 @@ from experiments.spiking_networks.simulators import (
     missing_simulators,
 )
 
-PARTS = ("accuracy", "agreement", "cost", "bins")
+PARTS = ("accuracy", "agreement", "cost", "bins", "conversion")
 """Parts of the report."""
 
 PACKAGES = ("torch", "sinabs", "norse", "snntorch", "nir")
@@ -121,19 +124,28 @@ class Sizes:
     """Rounds of timing."""
     moments: int = 400
     """Moments at which the multiplications of the network of ReLUs are counted."""
+    calibration: int = 20
+    """Recordings of each digit whose windows say how large activations of ReLUs are."""
 
 
-QUICK = Sizes(1, 1, 1, 200, (100, 10, 3), 2, 40)
+QUICK = Sizes(1, 1, 1, 200, (100, 10, 3), 2, 40, 1)
 """The same for --quick."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The graph that is measured, our model of it, and the recordings."""
+    """The graph that is measured, our model of it, and the recordings.
+
+    Parameters
+    ----------
+    calibration : recordings of the training set, by which activations of ReLUs are measured.
+    ann : file of the weights of the network of ReLUs; None for random weights.
+    """
 
     graph: Any
     model: Model
     recordings: list[Recording]
+    calibration: list[Recording]
     sizes: Sizes
     ann: Path | None
 
@@ -251,8 +263,7 @@ def cost(subject: Subject) -> Iterator[dict[str, Any]]:
     others = {}
     relus = {}
     if subject.ann is not None:
-        example = runpy.run_path(str(ROOT / "examples" / "nir_cnn.py"))
-        model = others["ReLUs"] = example["convert"](subject.ann)[0]
+        model = others["ReLUs"] = _network_of_relus(subject)
         windows = [
             window
             for recording in recordings[:30]
@@ -262,6 +273,22 @@ def cost(subject: Subject) -> Iterator[dict[str, Any]]:
         relus = {name: touched[name]["multiplications"] for name in ("1", "whole")}
     numbers = times(subject.model, others, simulators, recordings, subject.sizes.rounds)
     yield {**numbers, "relu_multiplications": relus, "left_out": missing}
+
+
+def _network_of_relus(subject: Subject) -> Model:
+    """The network that the spiking one was made of; in a quick run with random weights."""
+    example = runpy.run_path(str(ROOT / "examples" / "nir_cnn.py"))
+    if subject.ann is not None:
+        model: Model = example["convert"](subject.ann)[0]
+        return model
+    torch.manual_seed(SEED)
+    config = TNTConfig(representation="count", polarity="split")
+    return Model.from_torch(example["paper_network"](), config, classes=CLASSES)
+
+
+def conversion(subject: Subject) -> Iterator[dict[str, Any]]:
+    """Accuracy of the network of ReLUs, and of spiking ones that are made of it."""
+    yield conversion_accuracy(_network_of_relus(subject), subject.calibration, subject.recordings)
 
 
 def bins(subject: Subject) -> Iterator[dict[str, Any]]:
@@ -288,6 +315,7 @@ MEASURE: dict[str, Callable[[Subject], Iterator[dict[str, Any]]]] = {
     "agreement": agreement,
     "cost": cost,
     "bins": bins,
+    "conversion": conversion,
 }
 """Part of the report -> what measures it. It yields the part's numbers each time there are more."""
 
@@ -297,12 +325,16 @@ MEASURE: dict[str, Callable[[Subject], Iterator[dict[str, Any]]]] = {
 
 def subject_of(args: argparse.Namespace, quick: bool) -> Subject:
     """What the options ask for."""
-    folder = data_folder(args.nmnist, "nmnist", "--nmnist") / "Test"
+    folder = data_folder(args.nmnist, "nmnist", "--nmnist")
     sizes = QUICK if quick else Sizes()
-    recordings = read_recordings(folder, sizes.per_digit)
+    recordings = read_recordings(folder / "Test", sizes.per_digit)
+    calibration = []
+    if "conversion" in args.parts:
+        calibration = read_recordings(folder / "Train", sizes.calibration)
     if quick:
         graph = random_paper_graph(np.random.default_rng(SEED))
-        return Subject(graph, of_graph(graph, "subtract"), recordings, sizes, None)
+        model = of_graph(graph, "subtract")
+        return Subject(graph, model, recordings, calibration, sizes, None)
     import nir
 
     root = Path(os.environ.get("TNT_DATA", "")) / "nir"
@@ -311,7 +343,8 @@ def subject_of(args: argparse.Namespace, quick: bool) -> Subject:
     for file, option in ((path, "--nir"), (ann, "--ann")):
         if not file.is_file():
             raise FileNotFoundError(f"no file {file}; give {option} FILE, or set TNT_DATA")
-    return Subject(nir.read(path), of_graph(path, "subtract"), recordings, sizes, ann)
+    model = of_graph(path, "subtract")
+    return Subject(nir.read(path), model, recordings, calibration, sizes, ann)
 
 
 def measure(args: argparse.Namespace, quick: bool) -> dict[str, Any]:

@@ -57,6 +57,7 @@ KINDS = {
     ),
     "last 700 us": CONFIG.replace(representation="count", grid=(30, 24), last_us=700),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
+    "line of pixels": CONFIG.replace(transform="none", sensor=(30, 1), grid=(30, 1)),
     "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
 }
 SETTINGS = {

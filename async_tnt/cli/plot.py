@@ -141,6 +141,11 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
             f"{name}: windows of a duration can be drawn, but not of {window_events} events"
         )
     sensor = recording.sensor or model.config.sensor
+    if min(sensor) == 1:
+        raise ValueError(
+            f"{path}: the picture shows volumes after the transform, and a line of "
+            f"{format_size(sensor)} pixels has no plane to transform; `async-tnt view` shows it"
+        )
     recording.sensor = sensor
 
     if model.places is not None:

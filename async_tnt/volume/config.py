@@ -70,7 +70,8 @@ class TNTConfig:
 
     Parameters
     ----------
-    sensor : the camera's pixels.
+    sensor : the camera's pixels. A line of pixels, (width, 1), has no plane to transform: it needs
+        transform "none" and its own grid.
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
     bins : B, time bins of the volume, by default 9; for an image, its channels of one polarity.
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
@@ -112,10 +113,10 @@ class TNTConfig:
     --------
     >>> TNTConfig(bins=9).shape
     (9, 34, 34)
-    >>> TNTConfig(grid=(34, 1))  # doctest: +ELLIPSIS
+    >>> TNTConfig(grid=(34, 0))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    async_tnt.base.checks.ParameterValueError: `grid` must have sides of 2 to ..., got (34, 1)
+    async_tnt.base.checks.ParameterValueError: `grid` must have sides of 1 to ..., got (34, 0)
     """
 
     sensor: tuple[int, int]
@@ -194,10 +195,22 @@ class TNTConfig:
         for name, value in checked.items():
             # The dataclass is frozen, so a plain assignment is refused.
             object.__setattr__(self, name, value)
+        self._check_line_of_pixels()
         self._check_flow()
         self._check_image()
         self._check_sliding()
         self._check_cells()
+
+    def _check_line_of_pixels(self) -> None:
+        """Refuse a side of one pixel where events are transformed or mapped onto another grid."""
+        for name, size in (("sensor", self.sensor), ("grid", self.grid)):
+            if min(size) > 1 or (self.transform == "none" and self.grid == self.sensor):
+                continue
+            rule = (
+                'must have sides of at least 2 pixels, unless transform="none" and grid and sensor '
+                "are the same"
+            )
+            raise ParameterValueError(name, rule, size)
 
     def _check_flow(self) -> None:
         """Refuse `remove_flow` for a landmark that finds no flow."""
@@ -300,10 +313,12 @@ class TNTConfig:
 
     @property
     def _gains(self) -> tuple[float, float]:
-        """Grid pixels per sensor pixel: exactly 1 if both have the same size."""
-        sensor_w, sensor_h = self.sensor
-        width, height = self.grid
-        return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
+        """Grid pixels per sensor pixel, in x and y: exactly 1 if both have the same size."""
+        gain_x, gain_y = (
+            1.0 if side == sensor_side else (side - 1) / (sensor_side - 1)
+            for side, sensor_side in zip(self.grid, self.sensor, strict=True)
+        )
+        return gain_x, gain_y
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as a dictionary of plain values, for JSON."""
@@ -397,8 +412,8 @@ def _size(name: str, value: Any) -> tuple[int, int]:
         rule = "must be two whole numbers (width, height)"
         raise ParameterTypeError(name, rule, short(value))
     size = int(value[0]), int(value[1])
-    if not all(2 <= side <= MAX_SIDE for side in size):
-        rule = f"must have sides of 2 to {MAX_SIDE} pixels"
+    if not all(1 <= side <= MAX_SIDE for side in size):
+        rule = f"must have sides of 1 to {MAX_SIDE} pixels"
         raise ParameterValueError(name, rule, short(size))
     return size
 

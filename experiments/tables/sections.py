@@ -430,6 +430,10 @@ SECTIONS = (
                 "Processor time of an event or of a time step with one event, and of a recording"
             ),
             spiking.spiking_machine: "Machine",
+            spiking.spiking_conversion: (
+                "Accuracy of the network of ReLUs, and of spiking networks made of it"
+            ),
+            spiking.spiking_first_kernel: "An event beside the first plain kernel, by turns",
         },
     ),
     Section(

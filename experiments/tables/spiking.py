@@ -1,4 +1,4 @@
-"""The tables of spiking networks: accuracy, agreement with simulators, bins, and cost."""
+"""The tables of spiking networks: accuracy, agreement with simulators, bins, cost, conversion."""
 
 from __future__ import annotations
 
@@ -114,3 +114,30 @@ def spiking_machine(report: dict[str, Any]) -> str:
         if part["machine"].get(name)
     ]
     return f"{about_machine(part)} {', '.join(versions)}."
+
+
+@of_report("spiking")
+def spiking_conversion(report: dict[str, Any]) -> str:
+    """A table of the accuracy of a network of ReLUs, and of spiking networks made of it."""
+    part = report.get("conversion")
+    if part is None:
+        return "not measured"
+    rows = []
+    for name, counts in part["rows"].items():
+        cells = [name]
+        for unit in ("windows", "recordings"):
+            right = counts[f"{unit}_right"]
+            cells.append(f"{percent(right / counts[unit])} of {counts[unit]:,}")
+        rows.append(cells)
+    return table(["", "windows right", "recordings right"], rows)
+
+
+@of_report("spiking_first_kernel")
+def spiking_first_kernel(report: dict[str, Any]) -> str:
+    """A table of the times of an event beside those of the first kernel."""
+    rows = []
+    for name, one in next(iter(report["figures"].values())).items():
+        cells = [name, short(one["before"]), short(one["now"]), f"{one['ratio']:.2f}"]
+        cells.append(f"{one['least']:.2f} to {one['most']:.2f}")
+        rows.append(cells)
+    return table(["", "first kernel", "now", "ratio", "smallest to largest"], rows)

@@ -14,10 +14,22 @@ def to_grid(points: torch.Tensor, sensor: tuple[int, int], grid: tuple[int, int]
     """Sensor pixels to grid pixels, corner to corner:  x_g = (x (W - 1)) / (Ws - 1).
 
     points : (..., 2), (x, y). The map has no offset, so it takes displacements and flows as well.
+
+    A side of one pixel has one place, 0, on the sensor and on the grid.
+
+    Raises
+    ------
+    ValueError : only one of the two has a side of one pixel.
     """
+    for name, sensor_side, grid_side in zip(("width", "height"), sensor, grid, strict=True):
+        if (sensor_side == 1) != (grid_side == 1):
+            raise ValueError(
+                f"`sensor` and `grid` must both have a {name} of 1 pixel or both more, got "
+                f"{tuple(sensor)} and {tuple(grid)}"
+            )
     grid_span = torch.tensor(grid, dtype=torch.float64, device=points.device) - 1  # (2,)
     sensor_span = torch.tensor(sensor, dtype=torch.float64, device=points.device) - 1  # (2,)
-    return (points.double() * grid_span) / sensor_span
+    return (points.double() * grid_span) / sensor_span.clamp(min=1)
 
 
 def image_centre(grid: tuple[int, int], device: torch.device | None = None) -> torch.Tensor:

@@ -79,7 +79,8 @@ def landmark(
     pixels = events.pixels[events.inside]  # (M, 2), the events that take part
     f = window_fraction(events.dt[events.inside], window_us)  # (M,)
 
-    rows = image_centre(check_size("grid", grid), f.device).repeat(len(events.dt), 1)  # (N, 2)
+    centre = image_centre(check_size("grid", grid, smallest=2), f.device)
+    rows = centre.repeat(len(events.dt), 1)  # (N, 2)
     if name == "running":
         rows[events.inside] = to_grid(prefix_means(pixels), sensor, grid)
     elif name == "line":
@@ -120,7 +121,7 @@ def fitted_flow(
     -------
     float64 tensor (N, 2): (x, y) in grid pixels per window. 0 for events outside the window.
     """
-    check_size("grid", grid)
+    check_size("grid", grid, smallest=2)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     f = window_fraction(events.dt[events.inside], window_us)
     _, slopes = prefix_lines(events.pixels[events.inside], f)

@@ -102,7 +102,7 @@ class LandmarkRegressor(nn.Module):
     ) -> None:
         super().__init__()
         self.channels = channels
-        self.grid = check_size("grid", grid)
+        self.grid = check_size("grid", grid, smallest=2)
         self.conv1 = nn.Conv2d(channels, n_filters, 3, padding="same")
         self.conv2 = nn.Conv2d(n_filters, n_filters, 3, padding="same")
         self.conv3 = nn.Conv2d(n_filters, n_filters, 3, padding="same")
@@ -168,8 +168,8 @@ class Pipeline(nn.Module):
         _check_landmark(landmark, regressor)
         self.classifier = classifier
         self.regressor = regressor
-        self.sensor = check_size("sensor", sensor)
-        self.grid = check_size("grid", grid if grid is not None else sensor)
+        self.sensor = check_size("sensor", sensor, smallest=2)
+        self.grid = check_size("grid", grid if grid is not None else sensor, smallest=2)
         self.window_us = window_us
         self.bins = check_bins(bins)
         self.t_max = t_max
@@ -307,7 +307,7 @@ def _check_landmark(landmark: str, regressor: nn.Module | None) -> None:
 
 def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
     """The grid. If its sides cannot be halved twice, this raises a ValueError."""
-    width, height = check_size("grid", grid)
+    width, height = check_size("grid", grid, smallest=2)
     if min(width, height) < 4:
         raise ValueError(
             f"`grid` must have sides of at least 4 pixels, to be halved twice, got {width, height}"

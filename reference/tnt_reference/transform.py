@@ -82,7 +82,8 @@ def tnt_coordinates(
         raise ValueError(
             f"`remove_flow` needs the flow fitted by landmark 'line', got landmark {landmark!r}"
         )
-    grid = check_size("grid", grid)
+    check_size("sensor", sensor, smallest=2)
+    grid = check_size("grid", grid, smallest=2)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     n_events = len(events.dt)
     device = events.dt.device

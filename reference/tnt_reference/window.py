@@ -177,7 +177,7 @@ def check_range(name: str, column: torch.Tensor, low: float, high: float) -> Non
         raise ValueError(f"`{name}` must be {rule}, got {column[i].item()} at event {i}")
 
 
-def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int, int]:
+def check_size(name: str, size: tuple[int, int], smallest: int = 1) -> tuple[int, int]:
     """The size (width, height) as two ints, each at least `smallest`."""
     try:
         width, height = map(operator.index, size)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from made import nasty_streams
 from networks.random_spiking import CONFIG, random_spiking_model
 
+from async_tnt import Model
 from async_tnt.networks.models.spiking_volume import SpikingVolume
 
 torch = pytest.importorskip("torch", reason="the reference needs torch")
@@ -28,11 +29,11 @@ LEAKY_BOUND = 1e-9
 """How much membranes that leak may differ."""
 
 
-def stream_of(seed, n=EVENTS):
+def stream_of(seed, n=EVENTS, config=CONFIG):
     """Events of one window: bursts at a few pixels, ties, and events that come late."""
     rng = np.random.default_rng(seed)
-    width, height = CONFIG.sensor
-    t = np.sort(rng.integers(0, CONFIG.window_us, n))
+    width, height = config.sensor
+    t = np.sort(rng.integers(0, config.window_us, n))
     x = np.clip(rng.normal(rng.integers(width), 1.5, n).round(), 0, width - 1).astype(int)
     y = np.clip(rng.normal(rng.integers(height), 1.5, n).round(), 0, height - 1).astype(int)
     p = rng.integers(0, 2, n)
@@ -92,3 +93,14 @@ def test_spikes_and_membranes_at_every_event(ops):
         reference = compare_at_every_event(model, stream_of(seed), (seed,))
         fired += sum(n > 10 for n in reference.spikes.values()) > 1
     assert fired > CASES // 4
+
+
+def test_random_graphs():
+    """What graphs of maps, of lines of pixels and of vectors become."""
+    pytest.importorskip("nir", reason="needs the extra `nir`")
+    from networks.nir.random_graphs import RandomGraph
+
+    for seed in range(CASES):
+        drawn = RandomGraph(seed)
+        model = Model.from_nir(drawn.graph, **drawn.meaning, window_us=1000)
+        compare_at_every_event(model, stream_of(seed, 40, model.config), (seed,))

@@ -46,9 +46,14 @@ BAD = [
     (dict(p=[1, 0, 1, 0.5]), ValueError, r"`p` must be bool, 0/1 or -1/\+1, got 0.5 at event 3"),
     (dict(window_us=0), ValueError, r"`window_us` must be positive, got 0; .* pass at least 1"),
     (
-        dict(sensor=(34, 1)),
+        dict(sensor=(34, 0)),
         ValueError,
-        r"`sensor` must have sides of at least 2 pixels, got \(34, 1\)",
+        r"`sensor` must have sides of at least 1 pixels, got \(34, 0\)",
+    ),
+    (
+        dict(grid=(34, 1)),
+        ValueError,
+        r"`grid` must have sides of at least 2 pixels, got \(34, 1\)",
     ),
     (dict(grid=34), TypeError, r"`grid` must be \(width, height\), two whole numbers, got 34"),
     (dict(grid=(2.0, 2)), TypeError, r"`grid` must be \(width, height\), two whole numbers"),

@@ -22,8 +22,22 @@ WRONG = [
         for v in (34, (34,), (True, 34))
     ],
     *[
-        ({name: side}, ValueError, f"`{name}` must have sides of 2 to 32768 pixels, got {side}")
-        for name, side in (("sensor", (1, 34)), ("sensor", (34, 32769)), ("grid", (34, 10**30)))
+        ({name: side}, ValueError, f"`{name}` must have sides of 1 to 32768 pixels, got {side}")
+        for name, side in (("sensor", (0, 34)), ("sensor", (34, 32769)), ("grid", (34, 10**30)))
+    ],
+    *[
+        (
+            settings | {name: (34, 1)},
+            ValueError,
+            f'`{name}` must have sides of at least 2 pixels, unless transform="none" and grid and '
+            "sensor are the same, got (34, 1)",
+        )
+        for name, settings in (
+            ("sensor", {}),
+            ("sensor", {"grid": (34, 1)}),
+            ("sensor", {"transform": "none"}),
+            ("grid", {"representation": "count"}),
+        )
     ],
     *[
         ({name: v}, TypeError, f"`{name}` must be a whole number, got {v!r}")

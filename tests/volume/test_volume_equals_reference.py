@@ -89,6 +89,23 @@ def test_update_equals_batch_at_every_prefix(data):
         assert_equals_reference(volume, events[:n], config, start_us)
 
 
+LINES = [(7, 1), (1, 5), (1, 1)]
+"""Sensors with a side of one pixel."""
+
+PLAIN = [config for config in CONFIGS if config.transform == "none"]
+
+
+@pytest.mark.parametrize("sensor", LINES, ids=str)
+@given(data=st.data())
+def test_a_line_of_pixels_equals_batch_at_every_prefix(sensor, data):
+    config = data.draw(st.sampled_from(PLAIN)).replace(sensor=sensor, grid=sensor, window_us=800)
+    events = data.draw(nasty_streams(sensor, 800, STARTS[1], max_events=25))
+    volume = opened(config, start_us=STARTS[1])
+    for n, event in enumerate(events.tolist(), start=1):
+        volume.update_one(*event)
+        assert_equals_reference(volume, events[:n], config, STARTS[1])
+
+
 MODELS = [
     random_regressor_model(
         TNTConfig(

@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterTypeError, ParameterValueError, plain_array
+from async_tnt.base.checks import (
+    ParameterError,
+    ParameterTypeError,
+    ParameterValueError,
+    plain_array,
+)
 from async_tnt.base.files import replacing, user_path
 from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import (
@@ -232,8 +237,8 @@ class Model:
         Parameters
         ----------
         graph : the path of a .nir file, or a `nir.NIRGraph`. Its input is (2, H, W), the polarity,
-            row and column of an event, or (1, H, W) for both polarities alike. Its last node is of
-            neurons.
+            row and column of an event, or (1, H, W) for both polarities alike. (1 or 2, W) and
+            (W,) are of a line of pixels: `y` is 0. Its last node is of neurons.
         classes : class names, in the order of the last layer's neurons. The class with most output
             spikes in the window is decided for; of a leaky integrator, that with the largest
             membrane. Without them the model has raw outputs, see
@@ -261,25 +266,32 @@ class Model:
         from async_tnt.networks.nir.from_nir import Meaning, layers_from_nir
         from async_tnt.networks.nir.graph import graph_of, read_graph
 
+        where = ""
         if isinstance(graph, (str, Path)):
             opened = read_graph(user_path(graph))
+            where = f"{graph}: "
         elif hasattr(graph, "to_dict"):
             opened = graph_of(graph.to_dict())
         else:
             rule = "must be the path of a .nir file, or a nir.NIRGraph"
             raise ParameterTypeError("graph", rule, type(graph).__name__)
-        read = layers_from_nir(opened, Meaning(reset, dt, polarity))
-        config = TNTConfig(
-            sensor=read.sensor, grid=read.sensor, representation="count", window_us=window_us
-        )
-        return cls(
-            config,
-            read.weights,
-            () if classes is None else classes,  # type: ignore[arg-type]  # `cls` checks it
-            record or {},
-            network={SPIKING: read.layers},
-            outputs=outputs_of(read.layers) if classes is None else {},
-        )
+        try:
+            read = layers_from_nir(opened, Meaning(reset, dt, polarity))
+            config = TNTConfig(
+                sensor=read.sensor, grid=read.sensor, representation="count", window_us=window_us
+            )
+            return cls(
+                config,
+                read.weights,
+                () if classes is None else classes,  # type: ignore[arg-type]  # `cls` checks it
+                record or {},
+                network={SPIKING: read.layers},
+                outputs=outputs_of(read.layers) if classes is None else {},
+            )
+        except ParameterError:
+            raise
+        except (NotImplementedError, ValueError) as error:
+            raise type(error)(f"{where}{error}") from None
 
     @property
     def logits_shape(self) -> Shape:

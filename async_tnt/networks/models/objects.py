@@ -60,8 +60,10 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
 
     rows, columns = axes[layers[-1]["name"]]
     # how many sensor pixels lie between two neighbouring grid pixels
-    across = (config.sensor[0] - 1) / (width - 1)
-    down = (config.sensor[1] - 1) / (height - 1)
+    across, down = (
+        1.0 if side == sensor_side else (sensor_side - 1) / (side - 1)
+        for side, sensor_side in zip(config.grid, config.sensor, strict=True)
+    )
     return Places(
         across * columns.first, across * columns.distance, down * rows.first, down * rows.distance
     )

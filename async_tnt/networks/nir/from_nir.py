@@ -101,6 +101,14 @@ class _Reader:
             self._sources[target].append(source)
         self._value_of: dict[str, str] = {}
         self._sensor: tuple[int, int] | None = None
+        self.is_line = False
+        """Whether the input is a line of pixels, (channels, W) or (W,), without rows."""
+        self._pixels_alone: set[str] = set()
+        """Values of a graph whose input is (W,), before its first dense layer.
+
+        In NIR they are vectors. Here they are maps (1, 1, W).
+        """
+        self._reads_pixels_alone = False
         self._output: str | None = None
         self._refused = Refusals()
 
@@ -119,7 +127,12 @@ class _Reader:
             rule = RULES.get(node.kind)
             if rule is None:
                 raise RefusedError(node.kind, f"{_title(node)} has no meaning here")
+            self._reads_pixels_alone = value in self._pixels_alone
             layer = rule(self, node)
+            if self._reads_pixels_alone and layer["op"] == "dense":
+                value = self.add(f"{node.name}.vector", [value], {"op": "flatten"})
+            elif self._reads_pixels_alone and layer["op"] != "flatten":
+                self._pixels_alone.add(node.name)
             self._value_of[node.name] = self.add(node.name, [value], layer)
         except RefusedError as error:
             self._refused.add(error)
@@ -146,28 +159,41 @@ class _Reader:
             raise ValueError("it reads no other node")
         if len(values) == 1:
             return values[0]
-        return self.add(f"{node.name}+", values, {"op": "add"})
+        total = self.add(f"{node.name}+", values, {"op": "add"})
+        if self._pixels_alone.issuperset(values):
+            self._pixels_alone.add(total)
+        return total
 
     def _input(self, node: Node) -> str:
         """The events, in the order of the input's channels."""
         sides = np.atleast_1d(_array(node, "shape")).tolist()
-        is_of_events = len(sides) == 3 and sides[0] in (1, 2) and np.isfinite(sides).all()
-        if not is_of_events or self._sensor is not None:
+        # a vector has no polarity: its one channel takes both
+        with_channels = [1, *sides] if len(sides) == 1 else sides
+        is_of_events = len(with_channels) in (2, 3) and with_channels[0] in (1, 2)
+        if not is_of_events or not np.isfinite(sides).all() or self._sensor is not None:
             raise RefusedError(
                 "Input",
-                f"{_title(node)} must be the only one, with a shape (1 or 2, H, W): "
-                f"polarity, row and column of an event; got {short(tuple(sides))}",
+                f"{_title(node)} must be the only one, with a shape (1 or 2, H, W), (1 or 2, W) or "
+                f"(W,): polarity, row and column of an event; got {short(tuple(sides))}",
             )
         if any(side != np.floor(side) for side in sides):
             raise ValueError(f"its shape must be whole numbers, got {short(tuple(sides))}")
-        shape = [int(side) for side in sides]
-        sensor = shape[2], shape[1]
+        self.is_line = len(sides) < 3
+        n_channels, *rows, width = (int(side) for side in with_channels)
+        sensor = width, rows[0] if rows else 1
         try:
             TNTConfig(sensor=sensor, grid=sensor, representation="count")
         except ParameterValueError as error:  # it is about the file, not about a parameter
-            raise ValueError(f"its shape (1 or 2, H, W): {error}") from None
+            raise ValueError(f"its shape {short(tuple(sides))}: {error}") from None
         self._sensor = sensor
-        if shape[0] == 1:
+        value = self._channels(node, n_channels)
+        if len(sides) == 1:
+            self._pixels_alone.add(value)
+        return value
+
+    def _channels(self, node: Node, n_channels: int) -> str:
+        """The events in one channel, or in two in the order that the meaning says."""
+        if n_channels == 1:
             ones = np.ones((1, 2, 1, 1), np.float32)
             return self.add(
                 node.name, [VOLUME], {**_window(1, 1, 0), **CONV, "tensors": {"weight": ones}}
@@ -175,6 +201,14 @@ class _Reader:
         if self.meaning.polarity == "on_first":
             return VOLUME
         return self.add(node.name, [VOLUME], {"op": "pick", "channels": [1, 0]})
+
+    def for_each_neuron(self, values: np.ndarray) -> np.ndarray:
+        """A parameter of neurons in the shape that layers have: a line is a map of one row."""
+        if self.is_line and values.ndim == 2:
+            return values[:, np.newaxis, :]
+        if self._reads_pixels_alone and values.size > 1:
+            return values.reshape(1, 1, -1)
+        return values
 
     def finished(self) -> SpikingLayers:
         """All layers. Those that the output does not need are left out."""
@@ -244,12 +278,38 @@ CONV: dict[str, Any] = {"op": "conv", "dilation": [1, 1], "groups": 1}
 # -- rules of nodes --------------------------------------------------------------------------------
 
 
-def _conv(reader: _Reader, node: Node) -> dict[str, Any]:
+def _conv_2d(reader: _Reader, node: Node) -> dict[str, Any]:
+    _check_axes(reader, 2)
     weight = _floats(node, "weight")
     if weight.ndim != 4:
         raise ValueError(f"weight must be (F, C, ky, kx), got {weight.shape}")
+    return _conv(node, weight, _whole(node, "stride"), _whole(node, "dilation"), is_line=False)
+
+
+def _conv_1d(reader: _Reader, node: Node) -> dict[str, Any]:
+    """A convolution along a line: one of a map with one row."""
+    _check_axes(reader, 1)
+    weight = _floats(node, "weight")
+    if weight.ndim != 3:
+        raise ValueError(f"weight must be (F, C, kx), got {weight.shape}")
+    (stride,) = _whole(node, "stride", 1)
+    (dilation,) = _whole(node, "dilation", 1)
+    return _conv(node, weight[:, :, np.newaxis, :], [1, stride], [1, dilation], is_line=True)
+
+
+def _check_axes(reader: _Reader, n_axes: int) -> None:
+    """Refuse a node of maps for an input that is a line, and the other way round."""
+    if reader.is_line == (n_axes == 1):
+        return
+    needed = "(1 or 2, W)" if n_axes == 1 else "(1 or 2, H, W)"
+    raise ValueError(f"it needs a graph whose input has a shape {needed}")
+
+
+def _conv(
+    node: Node, weight: np.ndarray, stride: list[int], dilation: list[int], is_line: bool
+) -> dict[str, Any]:
+    """A convolution with weights (F, C, ky, kx). Along a line, its padding has one number."""
     kernel = list(weight.shape[2:])
-    dilation = _whole(node, "dilation")
     tensors = {"weight": weight}
     bias = _floats(node, "bias") if "bias" in node.fields else np.zeros(0, np.float32)
     if bias.any():
@@ -257,15 +317,15 @@ def _conv(reader: _Reader, node: Node) -> dict[str, Any]:
     return {
         "op": "conv",
         "kernel": kernel,
-        "stride": _whole(node, "stride"),
-        "padding": _padding(node, kernel, dilation),
+        "stride": stride,
+        "padding": _padding(node, kernel, dilation, is_line),
         "dilation": dilation,
         "groups": _whole(node, "groups", 1)[0],
         "tensors": tensors,
     }
 
 
-def _padding(node: Node, kernel: list[int], dilation: list[int]) -> list[int]:
+def _padding(node: Node, kernel: list[int], dilation: list[int], is_line: bool) -> list[int]:
     """The padding [top, left, bottom, right], which may be "same" or "valid" in NIR."""
     padding = node.fields.get("padding")
     if isinstance(padding, bytes):  # as files hold texts
@@ -278,12 +338,13 @@ def _padding(node: Node, kernel: list[int], dilation: list[int]) -> list[int]:
         reach = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
         top, left = (side // 2 for side in reach)
         return [top, left, reach[0] - top, reach[1] - left]
-    rows, columns = _whole(node, "padding")
+    rows, columns = [0, *_whole(node, "padding", 1)] if is_line else _whole(node, "padding")
     return [rows, columns, rows, columns]
 
 
 def _pool(op: str) -> Rule:
     def rule(reader: _Reader, node: Node) -> dict[str, Any]:
+        _check_axes(reader, 2)
         rows, columns = _whole(node, "padding")
         return {
             "op": op,
@@ -298,7 +359,7 @@ def _pool(op: str) -> Rule:
 def _flatten(reader: _Reader, node: Node) -> dict[str, Any]:
     (start,) = _whole(node, "start_dim", 1)
     (end,) = _whole(node, "end_dim", 1)
-    if start != 0 or end not in (-1, 2):
+    if start != 0 or end not in (-1, 1 if reader.is_line else 2):
         raise NotImplementedError(f"a Flatten from {start} to {end}, not of all axes (0 to -1)")
     return {"op": "flatten"}
 
@@ -312,22 +373,24 @@ def _affine(reader: _Reader, node: Node) -> dict[str, Any]:
 
 
 def _scale(reader: _Reader, node: Node) -> dict[str, Any]:
-    return {"op": "scale", "tensors": {"scale": _floats(node, "scale")}}
+    scale = reader.for_each_neuron(_floats(node, "scale"))
+    return {"op": "scale", "tensors": {"scale": scale}}
 
 
 def _threshold(reader: _Reader, node: Node) -> dict[str, Any]:
-    return {"op": "threshold", "tensors": {"threshold": _floats(node, "threshold")}}
+    threshold = reader.for_each_neuron(_floats(node, "threshold"))
+    return {"op": "threshold", "tensors": {"threshold": threshold}}
 
 
 def _neurons(op: str, *roles: str) -> Rule:
     def rule(reader: _Reader, node: Node) -> dict[str, Any]:
-        tensors = {role: _floats(node, role) for role in roles}
+        tensors = {role: reader.for_each_neuron(_floats(node, role)) for role in roles}
         layer: dict[str, Any] = {"op": op, "tensors": tensors}
         if op in FIRING:
             layer["reset"] = reader.meaning.reset
             reset_to = _floats(node, "v_reset") if "v_reset" in node.fields else np.zeros(0)
             if reset_to.any():  # without it, it is 0
-                tensors["v_reset"] = reset_to
+                tensors["v_reset"] = reader.for_each_neuron(reset_to)
         if "v_leak" in roles:
             assert reader.meaning.dt is not None
             layer["dt"] = float(reader.meaning.dt)
@@ -340,7 +403,8 @@ Rule = Callable[[_Reader, Node], dict[str, Any]]
 """Adds a node's layer: its fields without name and inputs, and `tensors`, role -> weights."""
 
 RULES: dict[str, Rule] = {
-    "Conv2d": _conv,
+    "Conv1d": _conv_1d,
+    "Conv2d": _conv_2d,
     "SumPool2d": _pool("sum_pool"),
     "AvgPool2d": _pool("average_pool"),
     "Flatten": _flatten,

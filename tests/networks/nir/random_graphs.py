@@ -19,6 +19,8 @@ MAP_NODES = (
     "add",
 )
 
+LINE_NODES = ("Conv1d", "Scale", "IF", "LIF", "CubaLIF", "Threshold", "add")
+
 
 class RandomGraph:
     """A graph that grows node by node.
@@ -35,12 +37,15 @@ class RandomGraph:
         self._edges: list[tuple[str, str]] = []
         self._reset = str(self._rng.choice(["subtract", "value"]))
         rng = self._rng
-        self._shape = tuple(int(side) for side in (rng.integers(1, 3), *rng.integers(2, 9, 2)))
+        n_axes = int(rng.choice([1, 2, 3, 3]))
+        sides = rng.integers(2, 9, max(n_axes - 1, 1)).tolist()
+        self._shape = tuple(sides) if n_axes == 1 else (int(rng.integers(1, 3)), *sides)
         self._name = self._add("input", nir.Input(np.array(self._shape)), None)
+        nodes = {1: ("Scale", "IF", "LIF"), 2: LINE_NODES, 3: MAP_NODES}[n_axes]
         for _ in range(rng.integers(0, 4)):
-            self._add_to_map(str(rng.choice(MAP_NODES)))
+            self._add_node(str(rng.choice(nodes)))
         if rng.integers(2):
-            self._add_dense()
+            self._add_dense(flat=n_axes == 1)
         self._add_neurons(str(rng.choice(["IF", "LIF", "CubaLIF", "LI", "CubaLI"])))
         self._add("output", nir.Output(np.array(self._shape)), self._name)
         self.graph = nir.NIRGraph(self._nodes, self._edges, type_check=False)
@@ -64,9 +69,9 @@ class RandomGraph:
     def _positive(self, *shape: int) -> np.ndarray:
         return self._rng.uniform(0.1, 2.0, shape).astype(np.float32)
 
-    def _add_to_map(self, kind: str) -> None:
-        """Add a node that reads and computes a map."""
-        if kind == "Conv2d":
+    def _add_node(self, kind: str) -> None:
+        """Add a node that reads and computes numbers of as many axes as the input has."""
+        if kind in ("Conv1d", "Conv2d"):
             self._add_conv()
         elif kind in ("SumPool2d", "AvgPool2d"):
             self._add_pool(kind)
@@ -79,30 +84,35 @@ class RandomGraph:
 
     def _add_conv(self) -> None:
         rng = self._rng
-        channels, rows, columns = self._shape
+        channels, *before = self._shape
         groups = int(rng.choice([1, channels]))
         n_filters = groups * int(rng.integers(1, 3))
-        kernel = [int(rng.integers(1, min(4, side + 1))) for side in (rows, columns)]
+        kernel = [int(rng.integers(1, min(4, side + 1))) for side in before]
         weight = self._floats(n_filters, channels // groups, *kernel)
-        stride = tuple(rng.integers(1, 3, 2).tolist())
-        padding: Any = tuple(rng.integers(0, 2, 2).tolist())
+        stride = rng.integers(1, 3, len(before)).tolist()
+        padding: Any = rng.integers(0, 2, len(before)).tolist()
         dilation = 1
         sides = [
             (side + 2 * pad - k) // step + 1
-            for side, pad, k, step in zip((rows, columns), padding, kernel, stride, strict=True)
+            for side, pad, k, step in zip(before, padding, kernel, stride, strict=True)
         ]
         how = rng.integers(4)
         if how == 0:
             padding = "same"
-            stride = (1, 1)
+            stride = [1] * len(before)
             dilation = 2
-            sides = [rows, columns]
+            sides = before
         elif how == 1:
             padding = "valid"
-            stride = (1, 1)
-            sides = [side - k + 1 for side, k in zip((rows, columns), kernel, strict=True)]
+            stride = [1] * len(before)
+            sides = [side - k + 1 for side, k in zip(before, kernel, strict=True)]
         bias = np.zeros(n_filters, np.float32)
-        node = nir.Conv2d((rows, columns), weight, stride, padding, dilation, groups, bias)
+        if len(before) == 1:
+            along = padding if isinstance(padding, str) else padding[0]
+            node = nir.Conv1d(before[0], weight, stride[0], along, dilation, groups, bias)
+        else:
+            both = padding if isinstance(padding, str) else tuple(padding)
+            node = nir.Conv2d(tuple(before), weight, tuple(stride), both, dilation, groups, bias)
         self._name = self._add("conv", node, self._name)
         self._shape = (n_filters, *sides)
 
@@ -155,9 +165,11 @@ class RandomGraph:
             return None
         return -self._positive(*shape)
 
-    def _add_dense(self) -> None:
+    def _add_dense(self, flat: bool) -> None:
+        """Add a dense layer. Unless the numbers are `flat`, they are flattened before."""
         shape = np.array(self._shape)
-        self._name = self._add("flatten", nir.Flatten({"input": shape}, 0, -1), self._name)
+        if not flat:
+            self._name = self._add("flatten", nir.Flatten({"input": shape}, 0, -1), self._name)
         weight = self._floats(int(self._rng.integers(1, 5)), int(shape.prod()))
         bias = np.zeros(len(weight), np.float32)
         node = nir.Affine(weight, bias) if self._rng.integers(2) else nir.Linear(weight)

@@ -245,8 +245,8 @@ def changed(node, **fields):
         ("sum", {"kernel_size": np.array([9, 9])}, r"layer 'sum' \(sum_pool\): "),
         ("input", {"shape": np.array([2, np.nan, 6])}, r"'input' \(Input\) must be the only one"),
         ("input", {"shape": np.array([2, 6.5, 6])}, r"must be whole numbers, got \(2.0, 6.5, 6.0"),
-        ("input", {"shape": np.array([2, 0, 6])}, r"sides of 2 to 32768 pixels, got \(6, 0\)"),
-        ("input", {"shape": np.array([2, 1 << 20, 6])}, r"2 to 32768 pixels, got \(6, 1048576\)"),
+        ("input", {"shape": np.array([2, 0, 6])}, r"sides of 1 to 32768 pixels, got \(6, 0\)"),
+        ("input", {"shape": np.array([2, 1 << 20, 6])}, r"1 to 32768 pixels, got \(6, 1048576\)"),
         ("input", {"shape": np.array([2, 30_000, 30_000])}, "must give at most 268_435_456 cells"),
         ("input", {"shape": np.array([3, 6, 6])}, r"must be the only one.* got \(3, 6, 6\)"),
         (

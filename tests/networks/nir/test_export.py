@@ -95,7 +95,7 @@ def test_a_published_graph(data, tmp_path):
 
 def test_metadata_says_what_a_graph_leaves_open(tmp_path):
     drawn = RandomGraph(0)
-    meaning = {"reset": "subtract", "dt": 1e-3}
+    meaning = {"reset": drawn.meaning["reset"], "dt": 1e-3}
     model = Model.from_nir(drawn.graph, **meaning, window_us=50_000)
     nir.write(tmp_path / "a.nir", to_nir(model))
     with h5py.File(tmp_path / "a.nir") as file:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 nir = pytest.importorskip("nir", reason="needs the extra `nir`")
 
@@ -69,7 +70,7 @@ def test_what_a_graph_leaves_open_is_asked_for(graph, settings, message):
         (dense(nir.Delay(ONES), IF), "(Delay) has no meaning here"),
         (dense(nir.I(ONES), IF), "(I) has no meaning here"),
         (dense(), "the graph's last node must be of neurons (IF, LIF, CubaLIF, LI or CubaLI)"),
-        (graph_of(IF, sides=(2,)), "must be the only one, with a shape (1 or 2, H, W)"),
+        (graph_of(IF, sides=(3, 4)), "must be the only one, with a shape (1 or 2, H, W)"),
         (graph_of(IF, sides=(3, 4, 4)), "must be the only one, with a shape (1 or 2, H, W)"),
     ],
 )
@@ -129,10 +130,104 @@ def test_two_paths_are_added():
 
 
 def test_the_sensor_of_a_file_is_checked():
-    flatten = nir.Flatten({"input": np.array([2, 1, 2])}, start_dim=0, end_dim=-1)
-    graph = graph_of(flatten, nir.Linear(np.ones((2, 4))), IF, sides=(2, 1, 2))
-    with pytest.raises(ValueError, match=r"its shape \(1 or 2, H, W\): .* must have sides of 2 to"):
+    flatten = nir.Flatten({"input": np.array([2, 0, 2])}, start_dim=0, end_dim=-1)
+    graph = graph_of(flatten, nir.Linear(np.ones((2, 4))), IF, sides=(2, 0, 2))
+    with pytest.raises(ValueError, match=r"its shape \(2, 0, 2\): .* must have sides of 1 to"):
         Model.from_nir(graph, reset="subtract")
+
+
+def impulse_of(graph, pixel, channel):
+    """Membranes after one event, at an x of a line of pixels."""
+    model = Model.from_nir(graph, reset="subtract", polarity="off_first")
+    assert model.config.sensor[1] == 1
+    volume = SpikingVolume(model)
+    volume.open(0)
+    volume.update_one(5, pixel, 0, channel)
+    return volume.membranes()
+
+
+@pytest.mark.parametrize("padding", [0, 2, "same", "valid"])
+@pytest.mark.parametrize("stride, dilation, groups", [(1, 1, 1), (2, 1, 2), (1, 2, 1), (3, 2, 2)])
+def test_a_convolution_along_a_line(padding, stride, dilation, groups):
+    if padding == "same":
+        stride = 1  # torch has no other
+    rng = np.random.default_rng(5)
+    weight = rng.normal(size=(4, 2 // groups, 3)).astype(np.float32)
+    layer = torch.nn.Conv1d(2, 4, 3, stride, padding, dilation=dilation, groups=groups, bias=False)
+    layer.weight.data[:] = torch.from_numpy(weight)
+    for pixel, channel in ((0, 0), (4, 1), (8, 0)):
+        events = torch.zeros(1, 2, 9)
+        events[0, channel, pixel] = 1.0
+        expected = layer(events)[0].detach().numpy()
+        high = np.full(expected.shape, 99.0)  # no neuron fires
+        graph = graph_of(
+            nir.Conv1d(9, weight, stride, padding, dilation, groups, np.zeros(4)),
+            nir.IF(r=np.ones(expected.shape), v_threshold=high),
+            sides=(2, 9),
+        )
+        np.testing.assert_array_equal(impulse_of(graph, pixel, channel)[:, 0, :], expected)
+
+
+def test_an_input_without_polarity():
+    """Both polarities of a pixel add 1 to the same number."""
+    weight = np.array([[1.0, 2.0, 4.0], [8.0, 16.0, 32.0]])
+    neurons = nir.IF(r=ONES, v_threshold=np.full(2, 99.0))
+    for channel in (0, 1):
+        graph = graph_of(nir.Linear(weight), neurons, sides=(3,))
+        assert impulse_of(graph, 2, channel).tolist() == [4.0, 32.0]
+
+
+def test_neurons_of_single_pixels():
+    """Without a dense layer before them, neurons of a vector are those of its pixels."""
+    weight = np.array([[1.0, 2.0, 4.0], [8.0, 16.0, 32.0]])
+    gains = np.array([2.0, 3.0, 5.0])
+    pixels = nir.IF(r=gains, v_threshold=np.full(3, 99.0))
+    membranes = impulse_of(graph_of(pixels, sides=(3,)), 1, 0)
+    assert membranes.tolist() == [[[0.0, 3.0, 0.0]]]
+    fires = nir.IF(r=gains, v_threshold=np.array([9.0, 2.0, 9.0]))
+    last = nir.IF(r=ONES, v_threshold=np.full(2, 99.0))
+    graph = graph_of(fires, nir.Linear(weight), last, sides=(3,))
+    assert impulse_of(graph, 1, 0).tolist() == [2.0, 16.0]
+    assert impulse_of(graph, 2, 0).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "node, sides, message",
+    [
+        (
+            nir.Conv1d(4, np.ones((1, 2, 3)), 1, 0, 1, 1, np.zeros(1)),
+            (2, 3, 4),
+            "(Conv1d): it needs a graph whose input has a shape (1 or 2, W)",
+        ),
+        (
+            nir.Conv2d((1, 4), np.ones((1, 2, 1, 3)), 1, 0, 1, 1, np.zeros(1)),
+            (2, 4),
+            "(Conv2d): it needs a graph whose input has a shape (1 or 2, H, W)",
+        ),
+        (
+            nir.SumPool2d(np.array([1, 2]), np.array([1, 2]), np.array([0, 0])),
+            (2, 4),
+            "(SumPool2d): it needs a graph whose input has a shape (1 or 2, H, W)",
+        ),
+    ],
+)
+def test_lines_and_maps_do_not_mix(node, sides, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Model.from_nir(graph_of(node, IF, sides=sides), reset="subtract")
+
+
+@pytest.mark.parametrize(
+    "graph, error, message",
+    [
+        (dense(nir.Delay(ONES), IF), NotImplementedError, "(Delay) has no meaning here"),
+        (dense(IF, bias=ONES), ValueError, "layer 'affine' (dense): its bias must be 0"),
+    ],
+)
+def test_a_refusal_names_the_file(graph, error, message, tmp_path):
+    path = tmp_path / "net.nir"
+    nir.write(path, graph)
+    with pytest.raises(error, match=f"^{re.escape(str(path))}: .*{re.escape(message)}"):
+        Model.from_nir(path, reset="subtract")
 
 
 def test_the_published_graph_of_n_mnist():
