@@ -185,7 +185,7 @@ STREAMS = [
         (kind, name, True)
         for kind in ("last 60 events", "last 700 us")
         for name, settings in SETTINGS.items()
-        if not {"hop_us", "confidence"} & set(settings)
+        if "hop_us" not in settings
     ),
     *(
         ("of 60 events", name, name != "every_events")

@@ -5,7 +5,7 @@ A decision is made after every fiftieth of a window, and at its end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,9 +32,40 @@ def every_us(config: TNTConfig) -> int | None:
 
     None for windows of a number of events, which have no duration of their own.
     """
-    if config.window_events is not None:
+    if config.window_events is not None or config.last_events is not None:
         return None
     return max(1, config.window_us // (N_MOMENTS * PER_MOMENT))
+
+
+def every_events(config: TNTConfig) -> int | None:
+    """Events from one decision to the next: those of a window of `last_events`; else None."""
+    return config.last_events
+
+
+def in_windows(
+    decisions: Iterable[Decision], config: TNTConfig
+) -> Iterator[tuple[int, list[Decision]]]:
+    """The decisions of one window after the other, each with the window's start.
+
+    A window that slides has no end. So a stream of `last_us` is divided into stretches as long as a
+    window, from its first event on, and in a stream of `last_events` each decision stands alone.
+    """
+    start_us = 0
+    window: list[Decision] = []
+    for decision in decisions:
+        if config.last_us is not None and window:
+            passed_us = decision.time_us - start_us
+            if passed_us >= config.last_us:
+                yield start_us, window
+                window = []
+                start_us += passed_us // config.last_us * config.last_us
+        elif not window:
+            start_us = decision.window_start_us
+        window.append(decision)
+        is_over = decision.trigger in ("window", "end") or config.last_events is not None
+        if is_over:
+            yield start_us, window
+            window = []
 
 
 def moments(config: TNTConfig) -> list[int]:
@@ -54,13 +85,14 @@ def moments(config: TNTConfig) -> list[int]:
     return [*inner_ends, config.window_us]
 
 
-def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any]:
+def early_fields(start_us: int, window: Sequence[Decision], config: TNTConfig) -> dict[str, Any]:
     """What `early_report` needs to know about the decisions of a window.
 
     -1 stands for no decision.
 
     Parameters
     ----------
+    start_us : the window's start.
     window : all decisions of the window, in order.
 
     Returns
@@ -69,7 +101,7 @@ def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any
     confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches the
         level, and when this decision was due, see `due_us`.
     """
-    decisions_at_moments = [decision_at(window, moment) for moment in moments(config)]
+    decisions_at_moments = [decision_at(window, start_us + moment) for moment in moments(config)]
     confident_decisions = [_first_at(window, level) for level in LEVELS]
     return {
         "decided_at": [
@@ -83,7 +115,7 @@ def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any
             NO_DECISION if decision is None else decision.index for decision in confident_decisions
         ],
         "confident_us": [
-            NO_DECISION if decision is None else due_us(decision, config)
+            NO_DECISION if decision is None else due_us(decision, start_us, config)
             for decision in confident_decisions
         ],
     }
@@ -97,13 +129,15 @@ def _first_at(window: Sequence[Decision], level: float) -> Decision | None:
     return None
 
 
-def due_us(decision: Decision, config: TNTConfig) -> int:
+def due_us(decision: Decision, start_us: int, config: TNTConfig) -> int:
     """When a decision was due, in microseconds since its window's start.
 
     A decision is due at the first fiftieth of the window after the decision's newest event, or at
     the window's end. In windows of a number of events, it is due at its newest event.
+
+    start_us : the window's start.
     """
-    since_us = decision.time_us - decision.window_start_us
+    since_us = decision.time_us - start_us
     step_us = every_us(config)
     if step_us is None:
         return since_us
@@ -120,10 +154,10 @@ def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
 
     Parameters
     ----------
-    moment_us : the moment, in microseconds since the window's start.
+    moment_us : the moment, in microseconds.
     """
     for decision in reversed(window):
-        if decision.time_us - decision.window_start_us < moment_us:
+        if decision.time_us < moment_us:
             return decision
     return None
 

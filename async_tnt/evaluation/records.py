@@ -11,7 +11,14 @@ import numpy as np
 from async_tnt.base.messages import short
 from async_tnt.base.package import __version__
 from async_tnt.evaluation.early import FIELDS as EARLY_FIELDS
-from async_tnt.evaluation.early import LEVELS, early_fields, every_us, moments
+from async_tnt.evaluation.early import (
+    LEVELS,
+    early_fields,
+    every_events,
+    every_us,
+    in_windows,
+    moments,
+)
 from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.networks.loading import load_model
@@ -60,7 +67,6 @@ def evaluate_recording(task: Task) -> Record:
         name: [] for name in ("window_start_us", "window_probabilities", *EARLY_FIELDS)
     }
     n_decisions = 0
-    window: list[Decision] = []
     try:
         recording, select = pixels.open(
             task.path,
@@ -71,18 +77,14 @@ def evaluate_recording(task: Task) -> Record:
             topic=task.job.reading.topic,
             off_sensor="count",
         )
-        for decision in _decisions(map(select, recording), processor, pixels):
-            window.append(decision)
-            if decision.trigger not in ("window", "end"):
-                continue
-            # The window is over. A long recording has many windows, so only what the record needs
-            # of a window is kept.
-            fields["window_start_us"].append(decision.window_start_us)
-            fields["window_probabilities"].append(decision.probabilities.tolist())
-            for name, value in early_fields(window, processor.config).items():
+        decisions = _decisions(map(select, recording), processor, pixels)
+        # A long recording has many windows, so only what the record needs of a window is kept.
+        for start_us, window in in_windows(decisions, processor.config):
+            fields["window_start_us"].append(start_us)
+            fields["window_probabilities"].append(window[-1].probabilities.tolist())
+            for name, value in early_fields(start_us, window, processor.config).items():
                 fields[name].append(value)
             n_decisions += len(window)
-            window = []
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed_record(task, _error_line(error, task))
 
@@ -203,8 +205,8 @@ def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
     """The Processor of a job, and the selector of its pixels.
 
     A thread uses the same two objects for all recordings of a job. The Processor is reset here. It
-    decides every `early.every_us(config)` microseconds, or only at the ends of windows if that is
-    None. The selector is not reset: it goes on counting the events that it leaves out.
+    decides every `early.every_us(config)` microseconds or `early.every_events(config)` events, or
+    only at the ends of windows if both are None. The selector is not reset: it goes on counting the events that it leaves out.
 
     Raises
     ------
@@ -233,7 +235,8 @@ def _new_processor(job: Job) -> tuple[Processor, ModelPixels]:
             f"{job.model}: not the model that the job was made for; it has changed, or a "
             "worker reads another file"
         )
-    processor = Processor(model, every_us=every_us(model.config))
+    config = model.config
+    processor = Processor(model, every_us=every_us(config), every_events=every_events(config))
     return processor, ModelPixels(job.pixels, model.config.sensor)
 
 

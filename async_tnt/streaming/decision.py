@@ -73,10 +73,11 @@ class Decision:
     """Events in the window so far."""
     complete: bool
     """Whether this decision closes the window, at the window's end or early by `confidence`. It is
-    False for a decision at the end of the stream."""
+    False for a decision at the end of the stream, and in a window that slides."""
     trigger: Trigger
     """The cause of the decision: `window` (the window has ended), `every_us`, `every_events`,
-    `confidence` (which closed the window), `fire` (on demand) or `end` (the stream has ended)."""
+    `confidence` (which closed the window, or in a window that slides has found another class),
+    `fire` (on demand) or `end` (the stream has ended)."""
     objects: tuple[Object, ...] | None = None
     """Objects that a map model has found, the likeliest first; None with any other model."""
 

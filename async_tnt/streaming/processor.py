@@ -69,13 +69,6 @@ def _check_same_kind(saved: Any, network: Any) -> None:
         raise ParameterValueError("state", rule, short(saved_outputs))
 
 
-def _check_confidence(config: TNTConfig, confidence: float | None) -> None:
-    """Refuse a level of confidence, which closes windows, for windows that slide."""
-    if config.slides and confidence is not None:
-        rule = "closes windows, and windows of `last_events` and `last_us` have no end"
-        raise ParameterValueError("confidence", rule, short(confidence))
-
-
 def _recovering(method: Method) -> Method:
     """Decorate a method so that an exception in it leaves the Processor's state consistent."""
 
@@ -120,7 +113,9 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     confidence : close the window early, with a last decision, as soon as the likeliest class has
         this probability. It is checked at every decision of the other triggers, or after every
         event if there are no others. Events that still arrive for the window are counted as
-        `dropped_decided`. Not for models that find objects.
+        `dropped_decided`. A window that slides goes on: there a decision is due when the likeliest
+        class has this probability and is another one than at the last decision by confidence. Not
+        for models that find objects.
     regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
     on_restart : what to do where the clock of the events begins again, as in a recording that is
         read twice or after a camera was plugged in again, so that whole packets are older than the
@@ -197,7 +192,6 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
                 config, networks.classifier, networks.classes, confidence
             )
         self._running = Running("Processor")
-        _check_confidence(config, confidence)
         self._triggers = Triggers(
             TriggerSettings(every_us=every_us, every_events=every_events, confidence=confidence)
         )
@@ -229,6 +223,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         self._decoder.reset()
         self._windows.reset()
         self._classifier.forget()
+        self._triggers.forget()
         self._begin_oldest(-1)
         if self.start_us is not None:
             self._open_windows(self.start_us)
@@ -443,7 +438,6 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         decisions: list[AnswerT],
         trigger: Trigger,
         complete: bool = False,
-        confidence: float | None = None,
     ) -> Any:
         """The decision about the oldest window as it is now.
 
@@ -451,11 +445,24 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         ----------
         decisions : the earlier decisions of this call. If their arrays are views, the new decision
             would change the last one: it gets arrays of its own.
-        trigger, complete, confidence : see `WindowClassifier.decide`.
+        trigger, complete : see `WindowClassifier.decide`.
         """
         if decisions and self._classifier.answers_are_views:
             decisions[-1] = copy.copy(decisions[-1])
-        return self._classifier.decide(self._windows.oldest, trigger, complete, confidence)
+        return self._classifier.decide(self._windows.oldest, trigger, complete)
+
+    def _is_sure(self, decision: Any) -> bool:
+        """Whether a decision is one by `confidence`. Then it says so, and closes its window."""
+        level = self._triggers.settings.confidence
+        if level is None:
+            return False
+        self._classifier.check_confidence(level)  # the first answer may be of objects
+        slides = self.config.slides
+        if not self._triggers.is_sure(decision.index, decision.probability, slides):
+            return False
+        decision.trigger = "confidence"
+        decision.complete = not slides
+        return True
 
     def _decide_if_due(self, n_before: int, decisions: list[AnswerT]) -> list[AnswerT]:
         """The decision that the oldest window's newest event made due, if any.
@@ -470,11 +477,11 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         why = why_due.call(triggers.state, n_before, oldest.n_arrived)
         if why == NOT_DUE:
             return []
-        confidence = triggers.settings.confidence
-        decision = self._decide(decisions, TRIGGER_NAMES[why], confidence=confidence)
+        decision = self._decide(decisions, TRIGGER_NAMES[why])
+        is_sure = self._is_sure(decision)
         # With `confidence` alone, the window is classified after each event, but only an answer
         # that reaches the confidence is a decision.
-        if why == ONLY_IF_SURE and not decision.complete:
+        if why == ONLY_IF_SURE and not is_sure:
             return []
         triggers.n_at_decision = oldest.n_arrived
         return [decision]
@@ -490,8 +497,9 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
                 new_decisions = []
                 if oldest.n_arrived > triggers.n_at_decision:
                     oldest.advance(triggers.next_due_us)
-                    confidence = triggers.settings.confidence
-                    new_decisions = [self._decide(decisions, "every_us", confidence=confidence)]
+                    decision = self._decide(decisions, "every_us")
+                    self._is_sure(decision)
+                    new_decisions = [decision]
                     triggers.n_at_decision = oldest.n_arrived
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new_decisions, t_us, decisions)
@@ -664,7 +672,6 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     @_recovering
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Change the triggers; they apply to the open window, too."""
-        _check_confidence(self.config, settings.confidence)
         self._classifier.check_confidence(settings.confidence)
         self._triggers.set(settings)
         self._choose_ways()

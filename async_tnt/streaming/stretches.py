@@ -38,6 +38,8 @@ def decide_stretch(
     triggers: np.ndarray,
     first: int,
     last: int,
+    *,
+    slides: bool = False,
 ) -> tuple[int, list[Decision], ValueError | None]:
     """Add the events `first <= i < last` to a window, and decide whenever a decision is due.
 
@@ -46,6 +48,7 @@ def decide_stretch(
     call : the compiled call.
     classes : class names.
     triggers : float64, see `kernels.decisions.trigger`.
+    slides : whether the window slides, so that no decision closes it.
 
     Returns
     -------
@@ -81,7 +84,7 @@ def decide_stretch(
                 start_us,
                 time_us,
                 n_events,
-                why == T.BY_CONFIDENCE,
+                why == T.BY_CONFIDENCE and not slides,
                 TRIGGER_NAMES[why],
             )
             decisions.append(decision)

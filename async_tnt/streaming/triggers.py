@@ -93,6 +93,7 @@ class Triggers:
         self.state = np.zeros(T.SIZE)
         self._ints = self.state.view(np.int64)
         self.set(settings)
+        self.forget()
         self.begin_window(0, None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -114,6 +115,24 @@ class Triggers:
         self._ints[T.EACH_EVENT] = settings.each_event
         self._ints[T.EVERY_US] = settings.every_us or 0
         self._prepare()
+
+    def forget(self) -> None:
+        """Forget the class of the last decision by `confidence`, in a window that slides."""
+        self._ints[T.SURE_CLASS] = -1
+
+    def is_sure(self, index: int, probability: float, slides: bool) -> bool:
+        """Whether a decision for class `index` is one by `confidence`.
+
+        In a window that slides, the class must be another one than at the last such decision, and
+        is remembered. `kernels.decisions.trigger.is_sure` is the same rule.
+        """
+        if probability < self.state[T.CONFIDENCE]:
+            return False
+        if slides:
+            if self._ints[T.SURE_CLASS] == index:
+                return False
+            self._ints[T.SURE_CLASS] = index
+        return True
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
         """Begin again for an oldest window from `start_us` on; None: no window is open."""
@@ -190,7 +209,7 @@ class TriggerAttributes:
     def confidence(self) -> float | None:
         """Close a window at a decision whose likeliest class has this probability; None: never.
 
-        May change between calls.
+        A window that slides is not closed: see `Processor`. May change between calls.
         """
         return self._triggers.settings.confidence
 

@@ -157,7 +157,6 @@ class WindowClassifier:
         volume: TNTVolume,
         trigger: Trigger,
         complete: bool = False,
-        confidence: float | None = None,
     ) -> Decision:
         """The decision about a volume's open window.
 
@@ -165,8 +164,6 @@ class WindowClassifier:
         ----------
         trigger : why the decision is made.
         complete : whether the decision closes the window.
-        confidence : if the likeliest class has this probability, the decision closes the window,
-            and its trigger is `confidence`.
 
         Raises
         ------
@@ -186,7 +183,6 @@ class WindowClassifier:
             logits = self._call(volume)
             if logits.ndim == 3:
                 reader = self._reader_for(logits.shape)
-                _check_confidence(reader, confidence)
                 n = reader.read(logits, self._tracks, time_us, trigger != "fire")
                 return self._decision_of_map(n, logits, window, trigger, complete)
             probabilities = np.empty(logits.size)
@@ -195,9 +191,6 @@ class WindowClassifier:
         if index < 0 and logits.size:
             raise not_finite_error(logits)
         classes = self._classes_for(logits.size)
-        if confidence is not None and probabilities[index] >= confidence:
-            trigger = "confidence"
-            complete = True
         return Decision(
             classes[index],
             index,
@@ -306,7 +299,8 @@ class WindowClassifier:
             )
 
         classes = self._classes_for(compiled.n_classes)
-        return decide_stretch(call, classes, triggers, first, last)
+        slides = self._config.slides
+        return decide_stretch(call, classes, triggers, first, last, slides=slides)
 
     def _classes_for(self, n: int, *, is_map: bool = False) -> tuple[str, ...]:
         """The class names of `n` logits; made at the first answer if none were given.

@@ -66,7 +66,6 @@ class WindowOutputs:
         volume: TNTVolume,
         trigger: Trigger,
         complete: bool = False,
-        confidence: float | None = None,
     ) -> Output:
         """The answer about a volume's open window. For the parameters see `WindowClassifier`."""
         start_us, time_us, n_events = volume.moment()

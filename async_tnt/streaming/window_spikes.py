@@ -91,7 +91,6 @@ class WindowSpikes:
         volume: TNTVolume,
         trigger: Trigger,
         complete: bool = False,
-        confidence: float | None = None,
     ) -> Decision | Output:
         """The answer about a volume's open window. For the parameters see `WindowClassifier`."""
         assert isinstance(volume, SpikingVolume)
@@ -101,9 +100,6 @@ class WindowSpikes:
         index, logits, probabilities = volume.answer()
         if index < 0:
             raise not_finite_error(logits)
-        if confidence is not None and probabilities[index] >= confidence:
-            trigger = "confidence"
-            complete = True
         return Decision(
             self.classes[index], index, probabilities, logits, *window, complete, trigger
         )

@@ -19,7 +19,13 @@ from processes import started
 from waiting import until
 
 from async_tnt.cli.evaluate import lines_of
-from async_tnt.evaluation.early import LEVELS, decision_at, early_fields, early_report
+from async_tnt.evaluation.early import (
+    LEVELS,
+    decision_at,
+    early_fields,
+    early_report,
+    in_windows,
+)
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import evaluate_recording, processor_of
@@ -95,7 +101,7 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
     times = [0, 10, 20, 29]
     window = [SimpleNamespace(window_start_us=5, time_us=5 + t) for t in times]
     expected = [None, window[0], window[0], window[1], window[1], window[3]]
-    assert [decision_at(window, moment) for moment in (0, 1, 10, 11, 20, 30)] == expected
+    assert [decision_at(window, 5 + moment) for moment in (0, 1, 10, 11, 20, 30)] == expected
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -108,9 +114,40 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
         )
         for k, (t, p) in enumerate(at.items())
     ]
-    found = early_fields(window, config)
+    found = early_fields(5, window, config)
     assert found["confident"][LEVELS.index(level)] == 1
     assert found["confident_us"][LEVELS.index(level)] == 420  # when the event at 410 was known
+
+
+def decided(time_us, trigger="every_us", start_us=0):
+    return SimpleNamespace(time_us=time_us, trigger=trigger, window_start_us=start_us)
+
+
+@pytest.mark.parametrize(
+    "config, decisions, expected",
+    [
+        (
+            TNTConfig(window_us=100),
+            [(3, "every_us", 3), (90, "window", 3), (110, "every_us", 103), (120, "end", 103)],
+            [(3, 2), (103, 2)],
+        ),
+        # of a window that slides, stretches of its length from the first event on, without empty
+        # ones; the oldest event of the window is another one at each decision
+        (
+            TNTConfig(representation="count", last_us=100),
+            [(3, "every_us", 3), (102, "every_us", 9), (103, "every_us", 20), (450, "end", 400)],
+            [(3, 2), (103, 1), (403, 1)],
+        ),
+        (
+            TNTConfig(representation="count", last_events=7),
+            [(3, "every_events", 1), (102, "every_events", 9), (103, "end", 20)],
+            [(1, 1), (9, 1), (20, 1)],
+        ),
+    ],
+)
+def test_the_windows_of_an_evaluation(config, decisions, expected):
+    found = list(in_windows([decided(*decision) for decision in decisions], config))
+    assert [(start_us, len(window)) for start_us, window in found] == expected
 
 
 def test_what_is_decided_early_by_hand():
@@ -135,7 +172,7 @@ def test_what_is_decided_early_by_hand():
         (990, 2, 0.95, "end"),
     )
     unsure = window((300, 0, 0.4, "every_us"), (900, 2, 0.45, "window"))
-    fields = [early_fields(one, config) for one in (sure, unsure)]
+    fields = [early_fields(7, one, config) for one in (sure, unsure)]
     assert fields[0]["decided_at"] == [1, 0, *[0] * 7, 2]
     assert fields[1]["decided_at"] == [-1] * 3 + [0] * 6 + [2]
     assert fields[0]["probability_at"] == [0.5, 0.7, *[0.9] * 7, 0.95]

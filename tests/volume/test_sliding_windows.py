@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model
 
-from async_tnt import Model, Processor, TNTConfig, TNTVolume, load_model, stream
+from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model, stream
 from async_tnt.kernels.volume import state as S
 from async_tnt.volume import config as config_module
 
@@ -249,6 +249,53 @@ def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then(
         np.testing.assert_allclose(decision.logits, logits, atol=1e-4)
 
 
+def changes_of_class(decisions, level):
+    """The decisions that name a class with this probability, and another one than before."""
+    last = None
+    for decision in decisions:
+        if decision.probability >= level and decision.label != last:
+            last = decision.label
+            yield decision
+
+
+def told(decision):
+    return decision.time_us, decision.label, decision.events, decision.probabilities.tobytes()
+
+
+@pytest.mark.parametrize("window", [{"last_events": 25}, {"last_us": 300}], ids=str)
+@pytest.mark.parametrize("is_compiled", [True, False])
+@pytest.mark.parametrize("other", [{}, {"every_events": 3}, {"every_us": 50}], ids=str)
+def test_confidence_tells_when_the_class_changes(window, is_compiled, other):
+    """No decision closes the window. A class that is named twice in a row is told once."""
+    model = small_model(**window)
+    events = random_events(400, duration_us=4_000, sensor=SENSOR)
+    level = 0.45
+    classifier = CompiledClassifier(model)
+    how = {} if is_compiled else {"classifier": lambda volume: classifier(volume)}
+    all_decisions = list(stream(events, model, **how, **(other or {"every_events": 1})))
+    end = all_decisions.pop()
+    expected = [told(decision) for decision in changes_of_class(all_decisions, level)]
+    assert len(expected) > 5
+
+    processor = Processor(model, confidence=level, **how, **other)
+    decisions = []
+    for first in range(0, len(events), 130):
+        decisions += processor.push(events[first : first + 130])
+    found = [decision for decision in decisions if decision.trigger == "confidence"]
+    assert [told(decision) for decision in found] == expected
+    assert not any(decision.complete for decision in decisions)
+    assert processor.counts.dropped_decided == 0
+    if other:  # the other decisions are as without it
+        assert [told(decision) for decision in decisions] == [told(d) for d in all_decisions]
+    assert [told(decision) for decision in processor.finish()] == [told(end)]
+
+    # after a reset the first class is told again
+    processor.reset()
+    again = processor.push(events[:200])
+    again = [told(decision) for decision in again if decision.trigger == "confidence"]
+    assert again == expected[: len(again)] and again
+
+
 def test_fire_at_a_later_time():
     model = small_model(last_us=300)
     processor = Processor(model)
@@ -302,11 +349,6 @@ def test_settings_for_windows_that_end_are_refused():
     model = small_model(last_us=300)
     with pytest.raises(ValueError, match="`hop_us` must not be given with a window that slides"):
         Processor(model, hop_us=100)
-    with pytest.raises(ValueError, match="`confidence` closes windows, and windows of `last_eve"):
-        Processor(model, confidence=0.9)
-    processor = Processor(model)
-    with pytest.raises(ValueError, match="`confidence` closes windows"):
-        processor.confidence = 0.9
 
 
 def test_configurations_as_data(tmp_path):

@@ -164,6 +164,7 @@ def absorb_and_decide(
     outcome = DONE
     ints = buffer.view(np.int64)
     trigger_ints = trigger.view(np.int64)
+    is_sliding = ints[S.RING] != 0
     end_us = window_end_us(buffer, ints)
     ints[S.WITHOUT_GIL] = 1
     while first < last:
@@ -185,7 +186,7 @@ def absorb_and_decide(
             why = T.why_due(trigger, n_before, ints[S.N])
 
         if why != T.NOT_DUE:
-            if why == T.BY_TIME and ints[S.RING] != 0:
+            if why == T.BY_TIME and is_sliding:
                 advance(buffer, trigger_ints[T.DUE_US])
             best = classify_cells(
                 buffer, program, weights, maps, places, logits[n], probabilities[n]
@@ -193,13 +194,13 @@ def absorb_and_decide(
             if best < 0:
                 outcome = NOT_FINITE
                 break
-            if probabilities[n, best] >= trigger[T.CONFIDENCE]:
+            if T.is_sure(trigger, is_sliding, best, probabilities[n, best]):
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
                 trigger_ints[T.N_AT_DECISION] = ints[S.N]
                 note_decision(notes, n, ints, why, best)
                 n += 1
-                if why == T.BY_CONFIDENCE:
+                if why == T.BY_CONFIDENCE and not is_sliding:
                     outcome = CLOSE
                     break
 

@@ -8,10 +8,11 @@ import numpy as np
 from numba import float64, int64
 
 from async_tnt.kernels.entry_points import entry_point
+from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.volume import state as S
 
 # trigger
-CONFIDENCE = 0  # a class probability that closes the window; inf: none does
+CONFIDENCE = 0  # a class probability that makes a decision due, see `is_sure`; inf: none does
 # ints
 EVERY_EVENTS = 1  # a decision after each so many events of a window; 0: not by number
 # 1: classify at every event, as no other trigger determines when to test the confidence
@@ -19,7 +20,8 @@ EACH_EVENT = 2
 EVERY_US = 3  # a decision after each so many microseconds of a window; 0: not by time
 DUE_US = 4  # the next moment of EVERY_US in the oldest window; NEVER_US: none
 N_AT_DECISION = 5  # events of the oldest window at its last triggered decision
-SIZE = 6  # numbers in the buffer
+SURE_CLASS = 6  # of a window that slides: the class of the last decision by CONFIDENCE; -1: none
+SIZE = 7  # numbers in the buffer
 
 TRIGGER = float64[::1]
 """Numba's type of the buffer."""
@@ -72,6 +74,29 @@ def why_due(trigger, n_before, n):
     if ints[EVERY_EVENTS] > 0 and n % ints[EVERY_EVENTS] == 0:
         return BY_EVENTS
     return ONLY_IF_SURE if ints[EACH_EVENT] != 0 else NOT_DUE
+
+
+@inlined
+def is_sure(trigger, is_sliding, best, probability):
+    """Whether a decision is one by CONFIDENCE.
+
+    It closes a window. A window that slides has no end: there the class must be another one than at
+    the last such decision, and is noted.
+
+    Parameters
+    ----------
+    trigger : float64, see above. Updated in place.
+    is_sliding : bool.
+    best, probability : int and float. The likeliest class.
+    """
+    if probability < trigger[CONFIDENCE]:
+        return False
+    if is_sliding:
+        ints = trigger.view(np.int64)
+        if ints[SURE_CLASS] == best:
+            return False
+        ints[SURE_CLASS] = best
+    return True
 
 
 @entry_point(TRIGGER, int64, int64)

@@ -91,7 +91,7 @@ def absorb_spikes_and_decide(
             if best < 0:
                 outcome = NOT_FINITE
                 break
-            if probabilities[n, best] >= trigger[T.CONFIDENCE]:
+            if T.is_sure(trigger, False, best, probabilities[n, best]):
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
                 trigger_ints[T.N_AT_DECISION] = ints[S.N]
