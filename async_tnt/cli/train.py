@@ -109,6 +109,16 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
         raise ValueError(
             "--motions must come without --everywhere, which learns scenes from the beginning"
         )
+    if args.motions == "resynthesized" and _sliding(args):
+        raise ValueError(
+            "--motions resynthesized is for windows with a start: give --window-us, and not "
+            "--last-us or --last-events"
+        )
+    if args.everywhere and args.last_events is not None:
+        raise ValueError(
+            "--everywhere makes scenes of windows of a duration: give --last-us or --window-us, "
+            "and not --last-events"
+        )
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError(
             "--roi must come with --crop where motions are re-synthesized: objects leave the region"
@@ -196,6 +206,7 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
     from async_tnt.training.data import dataset_data
     from async_tnt.training.held_out import Split
     from async_tnt.training.plan import Plan
+    from async_tnt.training.settings import duration_us
     from async_tnt.training.simulated_pictures import find_pictures
     from async_tnt.training.volume_choice import VolumeChoice
     from async_tnt.training.work import Work
@@ -205,6 +216,7 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
         grid=args.grid,
         window_us=args.window_us,
         in_bins=args.motions == "resynthesized",
+        **_sliding(args),
         **volume_of(args.volume),
     )
     _check_volume(args, volume.config.transform)
@@ -219,7 +231,7 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
     )
     plan.check()
     split = Split(args.validation, args.groups, args.test, args.seed)
-    camera = _measured_camera(args, volume.config.window_us)
+    camera = _measured_camera(args, duration_us(volume.config))
     # with --crop, the sensor of --sensor is the camera's, and not that of the events
     plan.check_run(run_folder, None if pixels.crop else pixels.sensor)
     data = dataset_data(
@@ -243,6 +255,12 @@ def _pixels(args: argparse.Namespace) -> Pixels:
             f"pixels, got {format_size(pixels.region)}"
         )
     return pixels
+
+
+def _sliding(args: argparse.Namespace) -> dict[str, int]:
+    """The length of a window that slides, as a field of `TNTConfig`; empty for another window."""
+    lengths = {"last_us": args.last_us, "last_events": args.last_events}
+    return {name: length for name, length in lengths.items() if length is not None}
 
 
 def _check_volume(args: argparse.Namespace, transform: str) -> None:

@@ -129,11 +129,24 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
 
 def _add_network(group: argparse._ActionsContainer) -> None:
     """Add the options that choose the volume and the network."""
-    group.add_argument(
+    length = group.add_mutually_exclusive_group()
+    length.add_argument(
         "--window-us",
         type=positive_int,
         metavar="US",
         help="length of a window (default: 105000, or the longest recording)",
+    )
+    length.add_argument(
+        "--last-us",
+        type=positive_int,
+        metavar="US",
+        help="a window that slides: at any moment the events of the last US microseconds",
+    )
+    length.add_argument(
+        "--last-events",
+        type=positive_int,
+        metavar="N",
+        help="a window that slides: at any moment the last N events",
     )
     group.add_argument(
         "--grid",

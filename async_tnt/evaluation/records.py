@@ -206,7 +206,8 @@ def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
 
     A thread uses the same two objects for all recordings of a job. The Processor is reset here. It
     decides every `early.every_us(config)` microseconds or `early.every_events(config)` events, or
-    only at the ends of windows if both are None. The selector is not reset: it goes on counting the events that it leaves out.
+    only at the ends of windows if both are None. The selector is not reset: it goes on counting the
+    events that it leaves out.
 
     Raises
     ------

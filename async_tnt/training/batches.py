@@ -42,6 +42,10 @@ class BatchVolumes:
                 f"windows of a duration can be trained on, but not of {config.window_events} events"
             )
         self.config = config
+        # Of a window that slides, all events are given at once, so it is any other window.
+        self._of_windows = config
+        if config.slides:
+            self._of_windows = config.replace(last_us=None, last_events=None)
         self._landmark_kind = OWN
         if config.defers_landmark:
             self._landmark_kind = {"window": MEAN, "regressor": GIVEN}[config.landmark]
@@ -106,8 +110,7 @@ class BatchVolumes:
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
         """The first arguments of both `window_volumes` and `landmark_gradients`."""
         recordings = windows.recordings
-        first = recordings.offsets[windows.recording]
-        end = recordings.offsets[windows.recording + 1]
+        first, end = windows.bounds
         longest = int((end - first).max(initial=0))
         if longest > self._scratch[0].size:
             self._scratch = empty_columns(2 * longest)[:4]
@@ -144,5 +147,6 @@ class BatchVolumes:
         if sensor not in self._states:
             # With MEAN and GIVEN, the kernels write each window's landmark over a fixed one.
             landmark = self.config.landmark if self._landmark_kind == OWN else "center"
-            self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=landmark))
+            config = self._of_windows.replace(sensor=sensor, landmark=landmark)
+            self._states[sensor] = new_state(config)
         return self._states[sensor]

@@ -20,7 +20,7 @@ from async_tnt.streaming.windows import N_JUDGED, TimeUnitCheck
 from async_tnt.training.dataset import Dataset, Reading, read_part
 from async_tnt.training.held_out import BY_NUMBER, Division, Split, divide, hold_out_ends
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.settings import with_bins
+from async_tnt.training.settings import duration_us, with_bins
 from async_tnt.training.simulated_pictures import (
     LabelledPicture,
     check_pictures,
@@ -29,9 +29,12 @@ from async_tnt.training.simulated_pictures import (
 )
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.volume_choice import VolumeChoice
-from async_tnt.training.windows import Windows, make_windows
+from async_tnt.training.windows import Windows, windows_of
 from async_tnt.training.work import Work
 from async_tnt.volume.config import TNTConfig
+
+MOMENTS = 4
+"""How many held-out windows that slide end in the length of a window."""
 
 
 def dataset_data(
@@ -78,9 +81,9 @@ def dataset_data(
     examples = _Examples(dataset, tuple(pictures))
     division = divide(examples.names, examples.kinds, split)
 
-    scene = SceneSettings(config.sensor, config.window_us, **(scenes or {}))
+    scene = SceneSettings(config.sensor, duration_us(config), **(scenes or {}))
     recorded = _record(examples, division, scene, split.seed, work)
-    windows, labels_in_time = _windows(recorded, config.window_us, examples.n_recordings, split)
+    windows, labels_in_time = _windows(recorded, config, examples.n_recordings, split)
     _check_windows(windows.training, config, examples.counts)
     events_a_pixel = None
     if "bins" in choice.fitted:
@@ -101,7 +104,7 @@ def dataset_data(
     tests = {}
     if split.test:
         test_part = _read_test(folder, how, dataset)
-        test_windows = _windows_of(test_part.recordings, config.window_us)
+        test_windows = windows_of(test_part.recordings, config, moments=MOMENTS)
         tests["test"] = (test_windows, {"left_out": list(test_part.left_out)})
         left_out += [f"Test/{line}" for line in test_part.left_out]
         notes += _notes_on_events(test_part, "Test")
@@ -211,23 +214,18 @@ class _Sides:
 
 
 def _windows(
-    recorded: _Recorded, window_us: int, n_real: int, split: Split
+    recorded: _Recorded, config: TNTConfig, n_real: int, split: Split
 ) -> tuple[_Sides, list[int]]:
     """The windows of both sides, and the labels of the classes whose last windows are held out.
 
     n_real : number of recordings of a camera, which come before those of pictures.
     """
-    training = _windows_of(recorded.recordings, window_us, recorded.learned)
-    validation = _windows_of(recorded.recordings, window_us, recorded.held_out)
+    training = windows_of(recorded.recordings, config, which=recorded.learned)
+    validation = windows_of(recorded.recordings, config, which=recorded.held_out, moments=MOMENTS)
     training, validation, labels_in_time = hold_out_ends(
-        training, validation, split.validation, n_real, window_us
+        training, validation, split.validation, n_real, config.window_us
     )
     return _Sides(training, validation), labels_in_time
-
-
-def _windows_of(recordings: Recordings, window_us: int, which: np.ndarray | None = None) -> Windows:
-    """The windows of the recordings `which`, each recording's first one from its first event on."""
-    return make_windows(recordings, window_us, which=which, first_event=True)
 
 
 def _longest_us(recordings: Recordings) -> int | None:

@@ -53,7 +53,12 @@ class Evaluation:
 
     @property
     def against_time(self) -> dict[float, float]:
-        """Moment, in milliseconds -> the share of windows that are classified right then."""
+        """Moment, in milliseconds -> the share of windows that are classified right then.
+
+        Empty for windows of a number of events, in which time is no measure.
+        """
+        if self.windows.stop is not None:
+            return {}
         shares = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
         return dict(zip(self.times_ms, shares.tolist(), strict=True))
 

@@ -159,7 +159,10 @@ def _scores_in_motions(model: Model, motions: Motions) -> dict[str, Any]:
 def moments_ms(model: Model) -> tuple[float, ...]:
     """The moments, in milliseconds, at which the accuracy against time is measured.
 
-    They divide a window into ten equal parts. The window's end is not among them.
+    They divide a window into ten equal parts. The window's end is not among them. A window that
+    slides has no such moments: held-out windows end at several of them, see `windows_of`.
     """
+    if model.config.slides:
+        return ()
     # 1e4: ten parts, and 1000 microseconds in a millisecond
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

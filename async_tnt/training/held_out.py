@@ -128,7 +128,9 @@ def hold_out_ends(
     if not share:
         return training, validation, []
     # each training window's time in its session, and the rank of its file
-    times_us = training.start_us + _session_starts_us(training.recordings)[training.recording]
+    sessions_us = _session_starts_us(training.recordings)[training.recording]
+    times_us = training.start_us + sessions_us
+    ends_us = training.ends_us(window_us) + sessions_us
     files = _file_order(training.recordings)[training.recording]
     is_real = training.recording < n_real
     is_kept = np.ones(len(training), bool)
@@ -147,19 +149,14 @@ def hold_out_ends(
         # Parts of a session may overlap in time. A window that reaches into the first held-out
         # window is not learned from.
         is_in_other_file = files[learned] != files[first]
-        ends_before = times_us[learned] + window_us <= times_us[first]
+        ends_before = ends_us[learned] <= times_us[first]
         is_kept[members] = False
         is_kept[learned] = is_in_other_file | ends_before
         labels.append(int(label))
         ends.append(held_out)
     if not labels:
         return training, validation, labels
-    last_windows = training[np.concatenate(ends)]
-    held_out_windows = Windows(
-        training.recordings,
-        np.concatenate([validation.recording, last_windows.recording]),
-        np.concatenate([validation.start_us, last_windows.start_us]),
-    )
+    held_out_windows = validation.joined(training[np.concatenate(ends)])
     return training[np.flatnonzero(is_kept)], held_out_windows, labels
 
 

@@ -323,6 +323,8 @@ def batches_of(
             orders.append(rng.permutation(len(windows)))
     order = np.concatenate(orders)
     shown = windows[order] if motions is None else motions.show(epoch, order, rng)
+    if config.slides:
+        shown = shown.slid(config.window_us, rng)
     for first in range(0, len(shown), settings.batch):
         batch = shown[first : first + settings.batch]
         draws = None

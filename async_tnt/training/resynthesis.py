@@ -100,9 +100,11 @@ def resynthesize(
 
     Raises
     ------
-    ValueError : windows are shorter than 104 us; the folder holds other motions, or a damaged file;
-        no window's motion was found.
+    ValueError : windows are shorter than 104 us, or slide; the folder holds other motions, or a
+        damaged file; no window's motion was found.
     """
+    if config.slides:
+        raise ParameterValueError("config", "must have windows with a start for re-synthesis")
     if config.window_us < 2 * N_PICTURES:
         raise ParameterValueError(
             "window_us", f"must be at least {2 * N_PICTURES} for re-synthesis", config.window_us

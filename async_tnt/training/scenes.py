@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
@@ -87,10 +88,14 @@ class SceneMaker:
 
     Raises
     ------
-    ValueError : `config` has a transform, or volumes that are no sums over events.
+    ValueError : `config` has a transform, volumes that are no sums over events, or windows of a
+        number of events.
     """
 
     def __init__(self, config: TNTConfig) -> None:
+        if config.last_events is not None:
+            rule = "must have windows of a duration, as a scene holds those of several objects"
+            raise ParameterValueError("config", rule, f"last_events={config.last_events}")
         if config.transform != "none" or config.representation not in ("volume", "count"):
             raise ValueError(
                 "a scene is a sum of volumes: `representation` must be volume or count, and "

@@ -10,7 +10,7 @@ from typing import Any
 
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.training.augment import Augmentation
-from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.config import WINDOW_US, TNTConfig
 from async_tnt.volume.sensor import Sensor
 
 PRECISIONS = ("float32", "bfloat16", "auto")
@@ -34,6 +34,9 @@ Windows are not rotated, sheared or thinned, because rotation by 10 degrees, she
 thinning by .3 cost .01 of the accuracy on N-CARS' held-out recordings."""
 EARLIEST = 0.05
 """The earliest end of a window that ends early, as a share of the complete window."""
+SLIDING = MappingProxyType({"start_ms": 0.0, "partial": 0.0, "late_start": 0.0})
+"""Values of `Augmentation` that differ from `CHANGES` for windows that slide. `Windows.slid` moves
+these windows to all moments."""
 OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
 """Values of `Augmentation` that differ from `CHANGES` if a data set holds pictures. Recordings of
 pictures are simulated once for all epochs, so they need more augmentation."""
@@ -180,6 +183,11 @@ def default_config(**changes: Any) -> TNTConfig:
     return TNTConfig(**{"representation": "count", "landmark": "center", **changes})
 
 
+def duration_us(config: TNTConfig) -> int:
+    """The duration of a window; the default one where windows have a number of events instead."""
+    return WINDOW_US if config.last_events is not None else config.window_us
+
+
 def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
     """The volume with time bins if pixels fire at least `OFTEN` times; otherwise `config` itself.
 
@@ -238,9 +246,12 @@ def settings_for(
     augmentation = settings.pop("augmentation", {})
     if isinstance(augmentation, Mapping):
         earliest_ms = EARLIEST * config.window_us / 1e3
-        augmentation = Augmentation.for_sensor(
-            config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation}
-        )
+        changes = {"partial_from_ms": earliest_ms, **CHANGES, **augmentation}
+        if config.slides:
+            changes |= SLIDING
+        if config.last_events is not None:
+            changes["drop"] = 0.0  # each window has as many events
+        augmentation = Augmentation.for_sensor(config, **changes)
     # the logarithm is for volumes without negative cells
     recipe = {**RECIPE, "logarithm": config.polarity != "signed"}
     if settings.get("everywhere"):

@@ -45,7 +45,8 @@ class VolumeChoice:
 
         Parameters
         ----------
-        grid, window_us : fields of `TNTConfig`; None: the data set decides.
+        grid, window_us : fields of `TNTConfig`; None: the data set decides. A window that slides is
+            on the sensor's own grid.
         in_bins : whether there are time bins, however often pixels fire. Ignored if there are
             `fields`.
         fields : other fields of `TNTConfig`. If there are any, the data set does not decide on time
@@ -86,6 +87,8 @@ class VolumeChoice:
 
         longest_us : the length of the longest recording; None: there is none.
         """
+        if self.config.slides:
+            return self.config.replace(sensor=sensor, grid=sensor)
         grid = default_grid(sensor) if "grid" in self.fitted else self.config.grid
         config = self.config.replace(sensor=sensor, grid=grid)
         if "window_us" not in self.fitted or longest_us is None or longest_us >= config.window_us:

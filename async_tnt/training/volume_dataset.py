@@ -13,7 +13,7 @@ from async_tnt.sources.files.labelled_recordings import has_test
 from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.dataset import read_dataset
-from async_tnt.training.windows import make_windows
+from async_tnt.training.windows import windows_of
 from async_tnt.volume.config import TNTConfig
 
 
@@ -37,7 +37,8 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     Attributes
     ----------
     classes : names, by index.
-    windows : all windows with events. They lie end to end, from each recording's first event on.
+    windows : all windows with events. They lie end to end, from each recording's first event on;
+        of windows that slide, the last one ends at the last event.
     left_out : the recordings that are left out, with the reasons.
 
     Raises
@@ -78,7 +79,7 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
             warnings.warn(
                 f"{len(self.left_out)} recordings left out, first {self.left_out[0]}", stacklevel=2
             )
-        self.windows = make_windows(data.recordings, config.window_us)
+        self.windows = windows_of(data.recordings, config)
 
     def __len__(self) -> int:
         return len(self.windows)
