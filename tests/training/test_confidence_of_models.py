@@ -106,7 +106,7 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     temperature = fit_temperature(told, labels)
     assert temperature == pytest.approx(2.5, rel=0.05)
     found = Evaluation(
-        SimpleNamespace(labels=labels), (100.0,, stop=None), told[np.newaxis], {"scattered": told}
+        SimpleNamespace(labels=labels, stop=None), (100.0,), told[np.newaxis], {"scattered": told}
     )
     softer = found.at_temperature(temperature)
     assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
@@ -124,7 +124,10 @@ def test_the_decisions_of_all_moments_are_compared_with_their_own_windows():
     nothing = np.array([[0.9, 0.1], [0.89, 0.11], [0.05, 0.95], [0.5, 0.5]])
     labels = np.array([0, 0, 1])
     found = Evaluation(
-        SimpleNamespace(labels=labels), (50.0, 100.0), np.stack([right, right], stop=None), {"noise": nothing}
+        SimpleNamespace(labels=labels, stop=None),
+        (50.0, 100.0),
+        np.stack([right, right]),
+        {"noise": nothing},
     )
     assert found.calibration_error == pytest.approx(0.15)
     assert found.temperature == fit_temperature(np.tile(right, (2, 1)), np.tile(labels, 2)) < 1
