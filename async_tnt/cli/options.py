@@ -17,7 +17,14 @@ from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
 from async_tnt.streaming.triggers import TriggerSettings
-from async_tnt.volume.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
+from async_tnt.volume.config import (
+    LANDMARKS,
+    MAX_SIDE,
+    POLARITIES,
+    REPRESENTATIONS,
+    TRANSFORMS,
+    TNTConfig,
+)
 
 SAMPLES = Path("samples")
 """The word that means all bundled recordings, unless a file or folder has this name."""
@@ -236,13 +243,21 @@ def add_triggers(parser: argparse.ArgumentParser) -> None:
         type=_probability,
         metavar="P",
         help="decide and close the window early once the likeliest class has probability P; "
-        "checked at the decisions of the other triggers, or else after every event",
+        "checked at the decisions of the other triggers, or else after every event; in a window "
+        "that slides, decide when it is another class than before",
     )
 
 
-def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
-    """The options of `add_triggers` as keyword arguments of `Processor`."""
-    return {field.name: getattr(args, field.name) for field in fields(TriggerSettings)}
+def triggers_of(args: argparse.Namespace, config: TNTConfig) -> dict[str, Any]:
+    """The options of `add_triggers` as keyword arguments of `Processor`.
+
+    A window that slides has no end at which to decide. Without an option, its decisions are as far
+    apart as it is long.
+    """
+    triggers = {field.name: getattr(args, field.name) for field in fields(TriggerSettings)}
+    if all(value is None for value in triggers.values()):
+        triggers |= {"every_us": config.last_us, "every_events": config.last_events}
+    return triggers
 
 
 # -- numbers and sizes: argparse types ------------------------------------------------------------

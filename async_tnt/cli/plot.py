@@ -24,7 +24,7 @@ from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import FORMATS, check_picture, save, styled
 from async_tnt.views.figure_subject import Subject
-from async_tnt.volume.config import TIME_IMAGES, TNTConfig
+from async_tnt.volume.config import TIME_IMAGES, TNTConfig, with_an_end
 from async_tnt.volume.sensor import check_sensor, format_size
 
 DPI = 100
@@ -133,9 +133,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     name = args.model or DEFAULT_MODEL
     model = model_of(name)
-    if model.config.slides:
-        raise ValueError(f"{name}: windows that slide have no end at which they could be drawn")
-    window_events = model.config.window_events
+    window_events = model.config.window_events or model.config.last_events
     if window_events is not None:
         raise ValueError(
             f"{name}: windows of a duration can be drawn, but not of {window_events} events"
@@ -180,6 +178,8 @@ def _changed_config(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     # the flow can be removed only with the landmark `line`
     if changes.get("landmark", "line") != "line":
         changes.setdefault("remove_flow", False)
+    # of a window that slides, what it holds at the ends of stretches as long as it is
+    config = with_an_end(config)
     kind = changes.get("representation", config.representation)
     if kind in TIME_IMAGES:
         raise ValueError(

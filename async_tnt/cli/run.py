@@ -173,7 +173,7 @@ def _prepare(args: argparse.Namespace) -> _Run:
         classes=engine.classes,
         classifier=engine.classifier,
         start_us=args.start_us,
-        **triggers_of(args),
+        **triggers_of(args, engine.config),
     )
     # The first call of an engine takes longer, so it is made now. A decision about an empty window
     # changes nothing.

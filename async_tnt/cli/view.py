@@ -134,7 +134,7 @@ def main(args: argparse.Namespace) -> int:
         classes=engine.classes,
         start_us=args.start_us,
         classifier=engine.classifier,
-        **triggers_of(args),
+        **triggers_of(args, engine.config),
     )
     stopped = False
     with view:

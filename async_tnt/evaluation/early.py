@@ -5,7 +5,7 @@ A decision is made after every fiftieth of a window, and at its end.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,32 +40,6 @@ def every_us(config: TNTConfig) -> int | None:
 def every_events(config: TNTConfig) -> int | None:
     """Events from one decision to the next: those of a window of `last_events`; else None."""
     return config.last_events
-
-
-def in_windows(
-    decisions: Iterable[Decision], config: TNTConfig
-) -> Iterator[tuple[int, list[Decision]]]:
-    """The decisions of one window after the other, each with the window's start.
-
-    A window that slides has no end. So a stream of `last_us` is divided into stretches as long as a
-    window, from its first event on, and in a stream of `last_events` each decision stands alone.
-    """
-    start_us = 0
-    window: list[Decision] = []
-    for decision in decisions:
-        if config.last_us is not None and window:
-            passed_us = decision.time_us - start_us
-            if passed_us >= config.last_us:
-                yield start_us, window
-                window = []
-                start_us += passed_us // config.last_us * config.last_us
-        elif not window:
-            start_us = decision.window_start_us
-        window.append(decision)
-        is_over = decision.trigger in ("window", "end") or config.last_events is not None
-        if is_over:
-            yield start_us, window
-            window = []
 
 
 def moments(config: TNTConfig) -> list[int]:

@@ -16,14 +16,13 @@ from async_tnt.evaluation.early import (
     early_fields,
     every_events,
     every_us,
-    in_windows,
     moments,
 )
 from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.networks.loading import load_model
 from async_tnt.sources.pixels.model_pixels import ModelPixels
-from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.decision import Decision, in_windows
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import TNTConfig
 

@@ -33,6 +33,11 @@ class Engine:
     classes: Sequence[str]
     classifier: OnnxClassifier | None = None
 
+    @property
+    def config(self) -> TNTConfig:
+        """How events become the volumes that the classifier reads."""
+        return self.model if isinstance(self.model, TNTConfig) else self.model.config
+
 
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+
+from async_tnt.volume.config import TNTConfig
 
 Trigger = Literal["window", "every_us", "every_events", "confidence", "fire", "end"]
 
@@ -148,3 +150,29 @@ def class_of_recording(classes: Sequence[str], windows: Sequence[np.ndarray]) ->
     best = int(mean_probabilities.argmax())
     n_windows = "1 window" if len(windows) == 1 else f"{len(windows)} windows"
     return classes[best], f"mean probability {mean_probabilities[best]:.3f} of {n_windows}"
+
+
+def in_windows(
+    decisions: Iterable[Decision], config: TNTConfig
+) -> Iterator[tuple[int, list[Decision]]]:
+    """The decisions of one window after the other, each with the window's start.
+
+    A window that slides has no end. So a stream of `last_us` is divided into stretches as long as a
+    window, from its first event on, and in a stream of `last_events` each decision stands alone.
+    """
+    start_us = 0
+    window: list[Decision] = []
+    for decision in decisions:
+        if config.last_us is not None and window:
+            passed_us = decision.time_us - start_us
+            if passed_us >= config.last_us:
+                yield start_us, window
+                window = []
+                start_us += passed_us // config.last_us * config.last_us
+        elif not window:
+            start_us = decision.window_start_us
+        window.append(decision)
+        is_over = decision.trigger in ("window", "end") or config.last_events is not None
+        if is_over:
+            yield start_us, window
+            window = []

@@ -19,7 +19,7 @@ from async_tnt.kernels.training.window_batches import (
 )
 from async_tnt.training.augment import Draws, unchanged
 from async_tnt.training.windows import Windows
-from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.config import TNTConfig, with_an_end
 from async_tnt.volume.events import empty_columns
 from async_tnt.volume.state import new_state
 
@@ -43,9 +43,7 @@ class BatchVolumes:
             )
         self.config = config
         # Of a window that slides, all events are given at once, so it is any other window.
-        self._of_windows = config
-        if config.slides:
-            self._of_windows = config.replace(last_us=None, last_events=None)
+        self._of_windows = with_an_end(config)
         self._landmark_kind = OWN
         if config.defers_landmark:
             self._landmark_kind = {"window": MEAN, "regressor": GIVEN}[config.landmark]

@@ -33,17 +33,28 @@ they stay inside the panel."""
 
 
 def draw_window_objects(window: Window, model: Model) -> Figure:
-    """Draw the objects that a map model finds in a window: a panel for each of `SHARES`."""
-    processor = Processor(model, start_us=window.start_us)
+    """Draw the objects that a map model finds in a window: a panel for each of `SHARES`.
+
+    A window that slides still holds events from before `window` then.
+    """
+    config = model.config
+    processor = Processor(model, start_us=None if config.slides else window.start_us)
+    events = window.events
+    if config.last_us is not None:
+        earlier = window.subject.events
+        is_held = (earlier["t"] < window.start_us) & (
+            earlier["t"] >= window.start_us - config.last_us
+        )
+        events = np.concatenate([earlier[is_held], events])
+    events = events[np.argsort(events["t"], kind="stable")]
     decisions = []
-    events = window.events[np.argsort(window.events["t"], kind="stable")]
-    ends_us = [window.start_us + round(share * model.config.window_us) for share in SHARES]
+    ends_us = [window.start_us + round(share * config.window_us) for share in SHARES]
     stops = np.searchsorted(events["t"], ends_us)
     # the last part is empty, because no event is after the window
     parts = np.split(events, stops)[:-1]
-    for part in parts:
+    for part, end_us in zip(parts, ends_us, strict=True):
         processor.push(part)
-        decisions.append(processor.fire())
+        decisions.append(processor.fire(at_us=end_us - 1))
     titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
     subject = window.subject
     title = f"{subject.name}, window {window.number}: objects that {subject.model_name} finds"

@@ -6,6 +6,7 @@ A row has one scale, and its legend at the right end.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ from async_tnt.views.output_pictures import (
     picture_of,
     wheel_picture,
 )
+from async_tnt.volume.config import with_an_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +103,11 @@ def shown_windows(window: Window, model: Model) -> np.ndarray:
 
 
 def last_outputs(subject: Subject, model: Model, numbers: np.ndarray) -> list[Output]:
-    """The outputs at the ends of these windows of a recording."""
+    """The outputs at the ends of these windows of a recording.
+
+    At the ends of stretches as long as it is, a window that slides holds what a fixed one holds.
+    """
+    model = replace(model, config=with_an_end(model.config))
     processor: Processor[Output] = Processor(model, start_us=subject.start_us)
     starts_us = set((subject.first_us + (numbers - 1) * model.config.window_us).tolist())
     return [

@@ -8,7 +8,7 @@ import numpy as np
 
 from async_tnt.base.messages import printable
 from async_tnt.networks.models.model import Model
-from async_tnt.streaming.decision import Decision, class_of_recording
+from async_tnt.streaming.decision import Decision, class_of_recording, in_windows
 from async_tnt.streaming.processor import Processor
 from async_tnt.views.figure_outputs import draw_outputs, outputs_height
 from async_tnt.views.figure_style import (
@@ -91,13 +91,16 @@ def _draw_decisions(figure: Figure, subject: Subject, model: Model, top: float) 
     every_us = max(EVERY_US, distinct_step_us)
     processor = Processor(model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
-    last_decisions = [d for d in decisions if d.trigger in ("window", "end")]
-    label, details = class_of_recording(model.classes, [d.probabilities for d in last_decisions])
+    windows = list(in_windows(decisions, model.config))
+    last_probabilities = [window[-1].probabilities for _, window in windows]
+    label, details = class_of_recording(model.classes, last_probabilities)
     headline(figure, f"{subject.name}: “{label}”, {details}")
     axes = axes_at(figure, 0.75, top, 8.6, CLASSES_HEIGHT)
-    draw_classes(axes, subject, model, decisions, last_decisions)
+    draw_classes(axes, subject, model, windows)
     model_name = printable(subject.model_name)
-    moments_text = f"every {every_us / 1e3:g} ms and at the ends of windows"
+    moments_text = f"every {every_us / 1e3:g} ms"
+    if not model.config.slides:
+        moments_text += " and at the ends of windows"
     axes.set_xlabel(
         f"time in the recording (ms); decisions of {model_name} {moments_text}", fontsize=SMALL
     )
@@ -107,23 +110,22 @@ def draw_classes(
     axes: Any,
     subject: Subject,
     model: Model,
-    decisions: list[Decision],
-    last_decisions: list[Decision],
+    windows: list[tuple[int, list[Decision]]],
 ) -> None:
     """Draw the probability of each class as a line, and write each window's decision above.
 
     The likeliest classes have a colour and a name.
 
-    Parameters
-    ----------
-    decisions : all decisions.
-    last_decisions : the last decision of each window.
+    windows : the start and the decisions of each window, see `in_windows`.
     """
+    decisions = [decision for _, window in windows for decision in window]
     probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
     times = subject.since_start_ms(np.array([d.time_us for d in decisions]))
-    starts_us = np.array([d.window_start_us for d in decisions])
+    starts_us = np.array([start_us for start_us, window in windows for _ in window])
     # nan interrupts the lines at the end of each window
     end_rows = np.flatnonzero(np.diff(starts_us)) + 1
+    if model.config.slides:
+        end_rows = end_rows[:0]
     x = np.insert(times, end_rows, np.nan)
     y = np.insert(probabilities, end_rows, np.nan, axis=0)
     likeliest = np.argsort(-probabilities.mean(axis=0), kind="stable")
@@ -137,9 +139,10 @@ def draw_classes(
         (line,) = axes.plot(x, y[:, k], marker=".", ms=2, **look)
         line.set_gid(f"class {k}")
 
-    if len(last_decisions) <= MOST_NAMED:
-        for decision in last_decisions:
-            start_ms = subject.since_start_ms(decision.window_start_us)
+    if len(windows) <= MOST_NAMED:
+        for start_us, window in windows:
+            decision = window[-1]
+            start_ms = subject.since_start_ms(start_us)
             axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
             name = shortened(decision.label or "nothing", 10)
             note(axes, f"“{name}” {decision.probability:.2f}", (start_ms, 1.0), (3, 3))

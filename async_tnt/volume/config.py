@@ -381,6 +381,16 @@ class TNTConfig:
         return replace(self, **changes)
 
 
+def with_an_end(config: TNTConfig) -> TNTConfig:
+    """The configuration of a window that does not slide, and is as long.
+
+    Given the events of a window that slides, it holds the same.
+    """
+    if not config.slides:
+        return config
+    return config.replace(last_us=None, last_events=None, window_us=config.window_us)
+
+
 def second_bin(config: TNTConfig) -> int:
     """The number of planes of cells between an event's first bin and its second bin.
 

@@ -24,7 +24,6 @@ from async_tnt.evaluation.early import (
     decision_at,
     early_fields,
     early_report,
-    in_windows,
 )
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
@@ -33,6 +32,7 @@ from async_tnt.evaluation.results import collect
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.pixels.pixel_masks import save_mask
 from async_tnt.sources.pixels.pixels import Pixels
+from async_tnt.streaming.decision import in_windows
 from async_tnt.volume.config import TNTConfig
 
 

@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
-from made import random_events
+from made import random_events, random_model
 
-from async_tnt import Processor, load_model
+from async_tnt import Processor, TNTConfig, load_model
 from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 
 SAMPLES = sample_recordings()
@@ -48,6 +48,28 @@ def test_options_are_the_settings_of_the_processor(program, options, settings, l
             assert printed.pop("latency_us") > 0
         assert printed == decision.to_dict()
     assert "start_us" in settings or triggers - {"window", "end"}
+
+
+@pytest.mark.parametrize(
+    ("window", "settings"),
+    [
+        ({"last_us": 40_000}, {"every_us": 40_000}),
+        ({"last_events": 500}, {"every_events": 500}),
+    ],
+    ids=str,
+)
+def test_a_window_that_slides_decides_once_in_its_length(program, window, settings, tmp_path):
+    """Without an option there would be no decision before the recording's end."""
+    model = random_model(TNTConfig(representation="count", **window))
+    path = tmp_path / "m.safetensors"
+    model.save(path)
+    for options, triggers in (([], settings), (["--every-events", 90], {"every_events": 90})):
+        _, lines, _ = program("run", "--json", "--model", path, *options, SAMPLES[7])
+        processor = Processor(model, **triggers)
+        expected = processor.push(open_recording(SAMPLES[7]).read()) + processor.finish()
+        printed = [json.loads(line) for line in lines.splitlines()]
+        assert [line["time_us"] for line in printed] == [d.time_us for d in expected]
+        assert len(expected) > 3
 
 
 def test_several_recordings_have_one_header_and_a_line_of_their_class_each(program):

@@ -75,13 +75,17 @@ def in_a_stream(config, events, end_us, n):
     return volume.array.copy()
 
 
-@pytest.mark.parametrize("window", [{"last_us": 700}, {"last_events": 60}], ids=str)
+@pytest.mark.parametrize(
+    "window, times", [({"last_us": 700}, 1), ({"last_us": 210_000}, 300), ({"last_events": 60}, 1)]
+)
 @pytest.mark.parametrize("polarity", ["split", "signed", "unsigned"])
 @pytest.mark.parametrize("slides_on", [False, True])
-def test_a_window_has_the_bits_of_a_stream(window, polarity, slides_on):
+def test_a_window_has_the_bits_of_a_stream(window, times, polarity, slides_on):
+    """times : how many times longer the recordings are."""
     config = config_of(polarity=polarity, **window)
     streams = [
-        random_events(n, seed=n, duration_us=3_000, sensor=SENSOR, start_us=11) for n in (400, 30)
+        random_events(n, seed=n, duration_us=3_000 * times, sensor=SENSOR, start_us=11)
+        for n in (400, 30)
     ]
     recordings = Recordings.from_events(streams, [0, 1])
     windows = windows_of(recordings, config, moments=4)

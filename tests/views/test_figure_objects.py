@@ -1,5 +1,7 @@
 """What the page of a map model shows: at three moments of a window, its events and objects."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -90,6 +92,26 @@ def test_panels_show_what_was_there_until_then(number):
     assert (title, on, off) == ("9 ms", [*begin, a, b, c], [a, b])
     assert sorted(objects) == [a, b]
     assert words == ["pair", sure] * 2
+
+
+def test_a_window_that_slides_still_holds_events_from_before():
+    """Of the last 9 ms: after 3 ms of the second stretch, those of the first one are 6 ms old."""
+    model = dot_finder()
+    slid = CONFIG.replace(
+        representation="count", transform="none", polarity="unsigned", last_us=9_000
+    )
+    model = replace(model, config=slid)
+    subject = Subject("a.npz", two_windows(50), CONFIG, model, "finder")
+    first, second, third = panels(draw_window_objects(subject.window(2), model))
+    title, on, off, objects, _ = first
+    assert (
+        title == "3 ms"
+        and set(on) == {(6, 4), (30, 12), (20, 3)}
+        and set(off) == {(6, 4), (30, 12)}
+    )
+    assert sorted(objects) == [(6, 4), (30, 12)]
+    assert sorted(second[3]) == [(6, 4), (31, 12)]
+    assert set(third[1]) == {(6, 4), (31, 12), (21, 3)}
 
 
 def test_a_panel_has_no_events_of_earlier_windows():

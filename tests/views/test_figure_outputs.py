@@ -1,5 +1,7 @@
 """The page of a model of raw outputs: its outputs at the ends of windows, with their legends."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,12 +10,13 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)"
 from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
+from made import raw_model as other_raw_model
 from torch import nn
 from views.raw_models import CONFIG, overflowing_model, raw_model
 
-from async_tnt import Model, Processor
+from async_tnt import Model, Processor, TNTConfig
 from async_tnt.views import figure_outputs
-from async_tnt.views.figure_outputs import draw_outputs, shown_windows
+from async_tnt.views.figure_outputs import draw_outputs, last_outputs, shown_windows
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import new_figure
 from async_tnt.views.figure_subject import Subject
@@ -133,6 +136,19 @@ def test_rows_have_names_and_legends_by_hand():
     assert bars_of(figure)[:3] == [[1, -1], [2, -2], [3, -3]]
     limits = [axes.get_ylim() for axes in figure.axes if len(axes.patches) == 2]
     assert limits == [pytest.approx((-3.3, 3.3))] * 3
+
+
+def test_outputs_of_a_window_that_slides_are_those_of_one_that_is_as_long():
+    config = TNTConfig(sensor=(8, 6), grid=(8, 6), representation="count", window_us=30_000)
+    fixed = other_raw_model(config)
+    slid = replace(fixed, config=config.replace(last_us=30_000))
+    subject = Subject("a.npz", random_events(900, sensor=(8, 6)), config, fixed, "net")
+    numbers = np.array([1, 2, 3])
+    expected = last_outputs(subject, fixed, numbers)
+    found = last_outputs(subject, slid, numbers)
+    assert len(found) == len(expected) == 3
+    for one, other in zip(found, expected, strict=True):
+        assert [a.tobytes() for a in one.arrays] == [a.tobytes() for a in other.arrays]
 
 
 def test_the_window_that_the_page_shows_is_among_those_of_the_outputs():

@@ -107,6 +107,19 @@ def test_options_reach_the_picture(plot):
     assert not [label for label in labels if label not in text]
 
 
+def test_a_window_that_slides(plot):
+    """It is drawn at the ends of stretches as long as it is, and its decisions in all of them."""
+    config = TNTConfig(representation="count", last_us=50_000)
+    random_model(config).save("m.safetensors")
+    assert plot(5, "--model", "m.safetensors", "--window", 2, "--out", "s.svg")[0] == 0
+    text = text_of("s.svg")
+    assert "of window 2" in text and "decisions of m.safetensors every 2.5 ms" in text
+    assert "ends of windows" not in text and "of 7 windows" in text
+    random_model(TNTConfig(representation="count", last_events=500)).save("m.safetensors")
+    code, _, err = plot(5, "--model", "m.safetensors")
+    assert code == 2 and "windows of a duration can be drawn, but not of 500 events" in err
+
+
 def test_a_dollar_in_a_files_name_is_no_formula(plot):
     np.save("a^$b^$.npy", random_events(300))  # as a formula it would be an error
     assert plot("a^$b^$.npy", "--sensor", "34x34", "--out", "a.svg")[0] == 0
