@@ -16,7 +16,7 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
-from async_tnt.streaming.triggers import TriggerSettings
+from async_tnt.streaming.triggers import TriggerSettings, once_in_its_length
 from async_tnt.volume.config import (
     LANDMARKS,
     MAX_SIDE,
@@ -256,7 +256,7 @@ def triggers_of(args: argparse.Namespace, config: TNTConfig) -> dict[str, Any]:
     """
     triggers = {field.name: getattr(args, field.name) for field in fields(TriggerSettings)}
     if all(value is None for value in triggers.values()):
-        triggers |= {"every_us": config.last_us, "every_events": config.last_events}
+        triggers |= once_in_its_length(config)
     return triggers
 
 

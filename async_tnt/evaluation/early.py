@@ -37,11 +37,6 @@ def every_us(config: TNTConfig) -> int | None:
     return max(1, config.window_us // (N_MOMENTS * PER_MOMENT))
 
 
-def every_events(config: TNTConfig) -> int | None:
-    """Events from one decision to the next: those of a window of `last_events`; else None."""
-    return config.last_events
-
-
 def moments(config: TNTConfig) -> list[int]:
     """The ends of the ten tenths of a window, in microseconds since the window's start.
 

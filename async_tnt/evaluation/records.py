@@ -14,7 +14,6 @@ from async_tnt.evaluation.early import FIELDS as EARLY_FIELDS
 from async_tnt.evaluation.early import (
     LEVELS,
     early_fields,
-    every_events,
     every_us,
     moments,
 )
@@ -24,6 +23,7 @@ from async_tnt.networks.loading import load_model
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.decision import Decision, in_windows
 from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.triggers import once_in_its_length
 from async_tnt.volume.config import TNTConfig
 
 Record = dict[str, Any]
@@ -204,8 +204,8 @@ def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
     """The Processor of a job, and the selector of its pixels.
 
     A thread uses the same two objects for all recordings of a job. The Processor is reset here. It
-    decides every `early.every_us(config)` microseconds or `early.every_events(config)` events, or
-    only at the ends of windows if both are None. The selector is not reset: it goes on counting the
+    decides every `early.every_us(config)` microseconds, or only at the ends of windows if that is
+    None; in windows of `last_events` once in so many events. The selector is not reset: it goes on counting the
     events that it leaves out.
 
     Raises
@@ -235,8 +235,8 @@ def _new_processor(job: Job) -> tuple[Processor, ModelPixels]:
             f"{job.model}: not the model that the job was made for; it has changed, or a "
             "worker reads another file"
         )
-    config = model.config
-    processor = Processor(model, every_us=every_us(config), every_events=every_events(config))
+    triggers = once_in_its_length(model.config) | {"every_us": every_us(model.config)}
+    processor = Processor(model, **triggers)
     return processor, ModelPixels(job.pixels, model.config.sensor)
 
 

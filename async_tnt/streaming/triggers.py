@@ -79,6 +79,14 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     warnings.warn(ParameterWarning(name, rule), stacklevel=stacklevel)
 
 
+def once_in_its_length(config: TNTConfig) -> dict[str, int | None]:
+    """Settings by which a window that slides decides once in its length; None for other windows.
+
+    It has no end at which to decide.
+    """
+    return {"every_us": config.last_us, "every_events": config.last_events}
+
+
 class Triggers:
     """The triggers of one processor: their settings, and what they remember of the stream.
 
