@@ -205,8 +205,8 @@ def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
 
     A thread uses the same two objects for all recordings of a job. The Processor is reset here. It
     decides every `early.every_us(config)` microseconds, or only at the ends of windows if that is
-    None; in windows of `last_events` once in so many events. The selector is not reset: it goes on counting the
-    events that it leaves out.
+    None; in windows of `last_events` once in so many events. The selector is not reset: it goes on
+    counting the events that it leaves out.
 
     Raises
     ------

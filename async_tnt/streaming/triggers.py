@@ -79,7 +79,7 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     warnings.warn(ParameterWarning(name, rule), stacklevel=stacklevel)
 
 
-def once_in_its_length(config: TNTConfig) -> dict[str, int | None]:
+def once_in_its_length(config: TNTConfig) -> dict[str, Any]:
     """Settings by which a window that slides decides once in its length; None for other windows.
 
     It has no end at which to decide.
