@@ -3,7 +3,7 @@
     python -m experiments.sliding [--quick] [--json FILE]
 
 Events into volumes: packets of 1,300 events into an image of counts on three sensors, by turns: a
-window that grows, the last 5,000 events, and the last 30 ms.
+window that grows, the last 5,000 events, the last 30 ms, and these in five slices.
 
 Decisions after every event: the network of RoShamBo (Lungu et al. 2017) with random weights, on an
 image of counts of 64x64 pixels, with about 5,000 events in the window. Where a window slides, two
@@ -76,22 +76,25 @@ def events_of(n: int, sensor: tuple[int, int], seed: int) -> np.ndarray:
 
 
 def config_of(sensor: tuple[int, int], polarity: str = "split", **window: Any) -> TNTConfig:
-    """An image of counts on the sensor's own grid."""
-    return TNTConfig(
-        sensor=sensor,
-        grid=sensor,
-        representation="count",
-        polarity=polarity,  # type: ignore[arg-type]
-        **window,
-    )
+    """An image of counts on the sensor's own grid, unless `window` has another representation."""
+    settings = {"representation": "count", "polarity": polarity, **window}
+    return TNTConfig(sensor=sensor, grid=sensor, **settings)
 
+
+BINS: dict[str, Any] = {"representation": "volume", "transform": "none", "bins": 5}
+"""Settings of a volume with bins."""
 
 WINDOWS: dict[str, dict[str, Any]] = {
     "growing": {"window_us": 3_600_000_000},
     "last events": {"last_events": N_LAST},
     "last microseconds": {"last_us": LAST_US},
+    "growing, 5 bins": {"window_us": EVENT_US * N_EVENTS, **BINS},
+    "last microseconds, 5 slices": {"last_us": LAST_US, **BINS},
 }
-"""Kind of window -> its length."""
+"""Kind of window -> its settings."""
+
+COMPARED_WITH = {name: "growing, 5 bins" if "5" in name else "growing" for name in WINDOWS}
+"""Kind of window -> the growing window with which it is compared."""
 
 
 def volume_times(sensor: tuple[int, int], rounds: int, n_events: int) -> dict[str, Any]:
@@ -115,7 +118,7 @@ def volume_times(sensor: tuple[int, int], rounds: int, n_events: int) -> dict[st
         ns = interleave({name: case(window) for name, window in WINDOWS.items()}, rounds)
     return {
         "ns": {name: spread(values) for name, values in ns.items()},
-        "ratio": {name: spread(values / ns["growing"]) for name, values in ns.items()},
+        "ratio": {name: spread(values / ns[COMPARED_WITH[name]]) for name, values in ns.items()},
     }
 
 

@@ -55,6 +55,9 @@ KINDS = {
     "last 60 events": CONFIG.replace(
         representation="count", grid=(30, 24), polarity="signed", last_events=60
     ),
+    "last 700 us in slices": CONFIG.replace(
+        representation="volume", transform="none", grid=(30, 24), bins=7, last_us=700
+    ),
     "last 700 us": CONFIG.replace(representation="count", grid=(30, 24), last_us=700),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
     "line of pixels": CONFIG.replace(transform="none", sensor=(30, 1), grid=(30, 1)),
@@ -183,7 +186,7 @@ STREAMS = [
     *((kind, name, True) for kind, name in OTHERS),
     *(
         (kind, name, True)
-        for kind in ("last 60 events", "last 700 us")
+        for kind in ("last 60 events", "last 700 us", "last 700 us in slices")
         for name, settings in SETTINGS.items()
         if "hop_us" not in settings
     ),

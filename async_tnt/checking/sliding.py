@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -61,22 +62,45 @@ def _check_volumes(events: np.ndarray, config: TNTConfig, ends: list[int]) -> Co
 
 
 def reference_counts(events: np.ndarray, config: TNTConfig) -> np.ndarray:
-    """The image of counts of the events that a window holds: float32, shape (C, H, W)."""
-    from tnt_reference import count_image
-    from tnt_reference.sliding import last_events, last_us
+    """The counts of the events that a window holds: float32, shape (C, H, W).
 
+    In a window with slices, the first slice begins with the first event.
+    """
+    from tnt_reference.sliding import last_events, last_us, slices
+
+    t = events["t"]
     if config.last_events is not None:
-        held = events[last_events(events["t"], config.last_events).numpy()]
+        bins = last_events(t, config.last_events).numpy() - 1
+    elif config.slice_us is not None:
+        assert config.last_us is not None
+        bins = slices(t, int(t[0]), config.last_us, config.bins).numpy()
     else:
         assert config.last_us is not None
-        held = events[last_us(events["t"], config.last_us).numpy()]
-    columns = [held[field] for field in "txyp"]
-    counts = count_image(*columns, sensor=config.sensor).numpy().astype(np.float32)
+        bins = last_us(t, config.last_us).numpy() - 1
+    return np.concatenate(list(_counts_of_bins(events, bins, config)))
+
+
+def _counts_of_bins(
+    events: np.ndarray, bins: np.ndarray, config: TNTConfig
+) -> Iterator[np.ndarray]:
+    """The planes of the volume, those of ON first.
+
+    bins : the bin of each event; -1 if the window does not hold it.
+    """
+    from tnt_reference import count_image
+
+    images = []
+    for b in range(config.bins):
+        columns = [events[bins == b][field] for field in "txyp"]
+        images.append(count_image(*columns, sensor=config.sensor).numpy().astype(np.float32))
+    on, off = np.stack(images, axis=1)  # each (bins, H, W)
     if config.polarity == "split":
-        return counts
-    on, off = counts
-    image: np.ndarray = (on - off if config.polarity == "signed" else on + off)[np.newaxis]
-    return image
+        yield on
+        yield off
+    elif config.polarity == "signed":
+        yield on - off
+    else:
+        yield on + off
 
 
 def _check_network(events: np.ndarray, model: Model, ends: list[int]) -> Comparison:

@@ -139,6 +139,10 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
             f"{name}: windows of a duration can be drawn, but not of {window_events} events"
         )
     sensor = recording.sensor or model.config.sensor
+    if model.config.slice_us is not None:
+        raise ValueError(
+            f"{name}: volumes of counts in slices have no picture here; `async-tnt view` shows them"
+        )
     if min(sensor) == 1:
         raise ValueError(
             f"{path}: the picture shows volumes after the transform, and a line of "

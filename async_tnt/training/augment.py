@@ -292,6 +292,11 @@ class Augmentation:
         if self.late_start:
             later_us = np.rint(rng.uniform(0.0, LATEST * config.window_us, n)).astype(np.int64)
             start_us += np.where(rng.random(n) < self.late_start, later_us, 0)
+        if config.slice_us is not None:
+            # the newest slice of a stream has just begun, or is nearly complete
+            lacking_us = rng.integers(0, config.slice_us, n)
+            start_us += lacking_us
+            until_us = np.minimum(until_us, config.window_us - lacking_us)
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
         # -1 if a window is mirrored
         x_sign = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)

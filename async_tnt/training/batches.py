@@ -5,6 +5,7 @@ Without augmentation a window's volume is bit for bit the `TNTVolume.array` afte
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,8 +43,17 @@ class BatchVolumes:
                 f"windows of a duration can be trained on, but not of {config.window_events} events"
             )
         self.config = config
-        # Of a window that slides, all events are given at once, so it is any other window.
+        # Of a window that slides, all events are given at once, so it is any other window. Slices
+        # are windows of counts.
         self._of_windows = with_an_end(config)
+        if config.slice_us is not None:
+            self._of_windows = config.replace(
+                representation="count",
+                last_us=None,
+                window_us=config.slice_us,
+                polarity=config.polarity,
+                landmark="center",
+            )
         self._landmark_kind = OWN
         if config.defers_landmark:
             self._landmark_kind = {"window": MEAN, "regressor": GIVEN}[config.landmark]
@@ -76,9 +86,29 @@ class BatchVolumes:
         if n > len(self._out):
             self._out = np.empty((n, *self.config.shape), np.float32)
         out = self._out[:n]
+        if self.config.slice_us is not None:
+            self._fill_slices(windows, draws, out)
+            return out
         on_sensor = self._to_sensor(landmarks, n, draws)
         window_volumes(*self._arguments(windows, draws), self._landmark_kind, on_sensor, out)
         return out
+
+    def _fill_slices(self, windows: Windows, draws: Draws, out: np.ndarray) -> None:
+        """Fill the volumes of windows in slices, one slice after the other."""
+        slice_us = self.config.slice_us
+        assert slice_us is not None
+        on_sensor = np.zeros((len(windows), 2))
+        counts = np.empty((len(windows), *self._of_windows.shape), np.float32)
+        by_polarity = out.reshape(len(windows), counts.shape[1], self.config.bins, *out.shape[2:])
+        for b in range(self.config.bins):
+            of_slice = replace(
+                draws,
+                start_us=draws.start_us + b * slice_us,
+                until_us=np.clip(draws.until_us - b * slice_us, 0, slice_us),
+            )
+            arguments = self._arguments(windows, of_slice)
+            window_volumes(*arguments, self._landmark_kind, on_sensor, counts)
+            by_polarity[:, :, b] = counts
 
     def landmark_gradient(
         self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray

@@ -84,6 +84,9 @@ class TNTConfig:
     last_us : the window slides: at any moment it holds the events that are younger than this many
         microseconds, seen from the newest event. Both need representation "count", without the
         transform and on the sensor's own grid, because counts of events can be taken back exactly.
+        With `last_us`, representation "volume" counts events in slices of time: `bins` slices of
+        `last_us / bins`, counted from the stream's start. The last one has begun, and the window
+        advances when the next one begins. An event is in one slice, without weights.
     t_max : TNT time at the end of a window. Positions are divided by TNT time, so an object shrinks
         by this factor until the window's end. A smaller value loses fewer events over the border
         early in the window.
@@ -243,18 +246,28 @@ class TNTConfig:
         """Refuse a sliding window whose events cannot be taken back exactly."""
         if not self.slides:
             return
-        is_exact = self.representation == "count" and self.transform == "none"
-        if not is_exact or self.grid != self.sensor:
+        has_counts = self.representation == "count" or (
+            self.representation == "volume" and self.last_us is not None
+        )
+        if not has_counts or self.transform != "none" or self.grid != self.sensor:
             name = "last_us" if self.last_events is None else "last_events"
+            kinds = 'representation="count"'
+            if self.last_us is not None:
+                kinds += ' or "volume"'
             rule = (
-                'needs representation="count", transform="none" and the sensor\'s own grid, as '
-                "only counts of events can be taken back exactly"
+                f'needs {kinds}, transform="none" and the sensor\'s own grid, as only counts of '
+                "events can be taken back exactly"
             )
             got = (
                 f"representation={self.representation!r}, transform={self.transform!r}, "
                 f"grid={self.grid}, sensor={self.sensor}"
             )
             raise ParameterValueError(name, rule, got)
+        if self.representation == "volume" and self.last_us % self.bins:  # type: ignore[operator]
+            rule = (
+                f"must be a multiple of {{bins}}, {self.bins}, as bins are slices of equal length"
+            )
+            raise ParameterValueError("last_us", rule, self.last_us)
 
     def _check_cells(self) -> None:
         """Refuse a volume with more cells than `MAX_CELLS`."""
@@ -279,6 +292,13 @@ class TNTConfig:
     def slides(self) -> bool:
         """Whether the window slides: it has no end, and old events leave it."""
         return self.last_events is not None or self.last_us is not None
+
+    @property
+    def slice_us(self) -> int | None:
+        """The length of a slice, in a window that slides in slices; None in any other."""
+        if self.last_us is None or self.representation != "volume":
+            return None
+        return self.last_us // self.bins
 
     @property
     def needs_regressor(self) -> bool:
@@ -384,7 +404,7 @@ class TNTConfig:
 def with_an_end(config: TNTConfig) -> TNTConfig:
     """The configuration of a window that does not slide, and is as long.
 
-    Given the events of a window that slides, it holds the same.
+    Given the events of a window that slides, it holds the same, unless that has slices.
     """
     if not config.slides:
         return config

@@ -71,6 +71,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
         ints[S.RING] = ints[S.LOG] + log_size
         ints[S.RING_SIZE] = ring_size
         ints[S.SPAN_US] = config.last_us or 0
+        ints[S.SLICE_US] = config.slice_us or 0
     ints[S.INTERVAL_LO] = S.NO_INTERVAL
     ints[S.INTERVAL_HI] = -1
     return buffer

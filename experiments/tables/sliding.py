@@ -18,7 +18,7 @@ def sliding_events(report: dict[str, Any]) -> str:
             ratio = numbers["ratio"][name]
             cells = [f"{ns['median']:.1f}", f"{ns['q1']:.1f} to {ns['q3']:.1f}"]
             rows.append([sensor, name, *cells, f"{ratio['median']:.2f}"])
-    head = ["sensor", "window", "ns an event", "quartiles", "of a growing window"]
+    head = ["sensor", "window", "ns an event", "quartiles", "of a growing one with these bins"]
     return table(head, rows)
 
 

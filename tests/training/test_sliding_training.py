@@ -12,6 +12,7 @@ from async_tnt.training.windows import FARTHEST, windows_of
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
+from async_tnt.training.augment import unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.held_out import hold_out_ends
 from async_tnt.training.plan import Plan
@@ -105,6 +106,41 @@ def test_a_window_has_the_bits_of_a_stream(window, times, polarity, slides_on):
     assert n_whole > 8
 
 
+@pytest.mark.parametrize("polarity", ["split", "signed", "unsigned"])
+@pytest.mark.parametrize("lacking_us", [0, 1, 60, 99])
+def test_slices_have_the_bits_of_a_stream(polarity, lacking_us):
+    """At a slice's end, or before: then the newest slice is not complete."""
+    config = TNTConfig(
+        sensor=SENSOR, grid=SENSOR, transform="none", polarity=polarity, bins=7, last_us=700
+    )
+    events = random_events(400, seed=3, duration_us=3_000, sensor=SENSOR, start_us=211)
+    recordings = Recordings.from_events([events], [0])
+    windows = windows_of(recordings, config, moments=3)
+    draws = unchanged(len(windows), config)
+    draws.until_us[:] = 700 - lacking_us
+    volumes = BatchVolumes(config)(windows, draws)
+    for k, end_us in enumerate(windows.ends_us(700).tolist()):
+        volume = TNTVolume(config)
+        volume.open(end_us % 100)  # a start that a slice's end lies whole slices behind
+        volume.update(events[events["t"] < end_us - lacking_us])
+        volume.advance(end_us - 1 - lacking_us)
+        np.testing.assert_array_equal(volumes[k], volume.array)
+
+
+def test_slices_are_drawn_with_a_newest_one_of_any_length():
+    config = TNTConfig(sensor=SENSOR, grid=SENSOR, transform="none", bins=7, last_us=700)
+    recordings = Recordings.from_events([recording(np.arange(600) * 10)], [0])
+    windows = windows_of(recordings, config)
+    settings = settings_for(config, 100)
+    draws = [
+        settings.augmentation.draw(windows, config, np.random.default_rng(k)) for k in range(60)
+    ]
+    lacking_us = np.concatenate([one.start_us for one in draws])
+    assert lacking_us.min() >= 0 and lacking_us.max() <= 99 and len(set(lacking_us.tolist())) > 60
+    ends_us = np.concatenate([one.start_us + one.until_us for one in draws])
+    assert (ends_us == 700).all()  # where the window ends does not change
+
+
 @pytest.mark.parametrize("window", [{"last_us": 700}, {"last_events": 60}], ids=str)
 def test_windows_slide_to_all_moments(window):
     """Each moment of a recording is as likely as any other, but for its very beginning."""
@@ -149,7 +185,14 @@ def test_the_settings_of_windows_that_slide():
     assert Plan(choice)._settings(config, 100).augmentation.partial == 0
 
 
-@pytest.mark.parametrize("window", [("--last-us", "40000"), ("--last-events", "500")])
+@pytest.mark.parametrize(
+    "window",
+    [
+        ("--last-us", "40000"),
+        ("--last-events", "500"),
+        ("--last-us", "40000", "--volume", "representation=volume,transform=none,bins=4"),
+    ],
+)
 def test_a_model_for_windows_that_slide(window, tmp_path, train):
     folder = write_set(tmp_path / "set", {"upright": 8, "flat": 8}, side=34)
     code, err, out = train(folder, *window, "--epochs", "4")

@@ -25,29 +25,41 @@ LONG_STREAM = int(os.environ.get("ASYNC_TNT_LONG_STREAM", "60000"))
 """Number of events of the long stream. ASYNC_TNT_LONG_STREAM changes it: it was 20 million once."""
 
 WINDOWS = [{"last_events": n} for n in (1, 2, 7, 40)] + [{"last_us": t} for t in (1, 60, 400, 900)]
+WINDOWS += [
+    {"last_us": t, "representation": "volume", "bins": bins}
+    for t, bins in ((60, 1), (4, 4), (60, 3), (400, 4), (900, 2), (900, 9))
+]
 POLARITIES = ("split", "signed", "unsigned")
 
 
 def config_of(sensor=SENSOR, **settings):
-    return TNTConfig(sensor=sensor, grid=sensor, representation="count", **settings)
+    counts = {"representation": "count", "transform": "none", "polarity": "split"}
+    return TNTConfig(sensor=sensor, grid=sensor, **counts | settings)
 
 
-def held(events, config, now_us=None):
-    """The events of a window, from the definition."""
+def bins_of(events, config, now_us=None, start_us=0):
+    """The bin of each event, from the definition; -1 if the window does not hold it."""
     if config.last_events is not None:
-        chosen = sliding.last_events(events["t"], config.last_events)
-    else:
-        chosen = sliding.last_us(events["t"], config.last_us, now_us)
-    return events[chosen.numpy()]
+        return sliding.last_events(events["t"], config.last_events).numpy() - 1
+    if config.slice_us is None:
+        return sliding.last_us(events["t"], config.last_us, now_us).numpy() - 1
+    return sliding.slices(events["t"], start_us, config.last_us, config.bins, now_us).numpy()
 
 
-def image(events, config):
-    """How many events each pixel has."""
+def held(events, config, now_us=None, start_us=0):
+    """The events of a window, and its volume."""
+    bins = bins_of(events, config, now_us, start_us)
+    inside = events[bins >= 0]
+    return inside, image(inside, config, bins[bins >= 0])
+
+
+def image(events, config, bins=0):
+    """How many events each pixel has, in each bin."""
     expected = np.zeros(config.shape)
-    channel = np.zeros(len(events), int)
+    channel = np.zeros(len(events), int) + bins
     sign = np.ones(len(events))
     if config.polarity == "split":
-        channel = 1 - events["p"].astype(int)
+        channel += config.bins * (1 - events["p"].astype(int))
     if config.polarity == "signed":
         sign = np.where(events["p"] == 1, 1, -1)
     np.add.at(expected, (channel, events["y"], events["x"]), sign)
@@ -73,8 +85,8 @@ def test_the_window_is_the_definition_at_every_event(window, polarity, data):
     last_end = 0
     for n in range(1, len(events) + 1):
         one.update_one(*events[n - 1].tolist())
-        inside = held(events[:n], config)
-        np.testing.assert_array_equal(one.array, image(inside, config))
+        inside, expected = held(events[:n], config, start_us=start_us)
+        np.testing.assert_array_equal(one.array, expected)
         assert one.n_events == len(inside)
         if n in ends:
             many.update(events[last_end:n])
@@ -90,8 +102,12 @@ def test_random_streams():
     for seed in range(CASES):
         rng = np.random.default_rng(seed)
         window = {"last_events": int(rng.integers(1, 200))}
-        if rng.random() < 0.5:
+        if rng.random() < 0.6:
             window = {"last_us": int(rng.integers(1, 2_000))}
+        if rng.random() < 0.5 and "last_us" in window:
+            bins = int(rng.integers(1, 12))
+            window = {"last_us": bins * int(rng.integers(1, 300)), "bins": bins}
+            window["representation"] = "volume"
         sensor = (int(rng.integers(2, 40)), int(rng.integers(2, 40)))
         polarity = POLARITIES[rng.integers(3)]
         config = config_of(sensor, polarity=polarity, **window)
@@ -108,19 +124,27 @@ def test_random_streams():
             step = int(rng.integers(1, 400))
             volume.update(events[done : done + step])
             done = min(n, done + step)
-            inside = held(events[:done], config)
-            np.testing.assert_array_equal(volume.array, image(inside, config), str(seed))
+            inside, expected = held(events[:done], config)
+            np.testing.assert_array_equal(volume.array, expected, str(seed))
             assert volume.n_events == len(inside), seed
 
 
-@pytest.mark.parametrize("window", [{"last_events": 5_000}, {"last_us": 30_000}], ids=str)
+@pytest.mark.parametrize(
+    "window",
+    [
+        {"last_events": 5_000},
+        {"last_us": 30_000},
+        {"last_us": 30_000, "representation": "volume", "bins": 5},
+    ],
+    ids=str,
+)
 def test_a_map_over_a_long_stream(window):
     """A network's value of each pixel follows the events that come and leave, late ones too."""
     sensor = (64, 64)
     config = config_of(sensor, **window)
     torch.manual_seed(0)
     network = torch.nn.Sequential(
-        torch.nn.Conv2d(2, 8, 3, padding=1),
+        torch.nn.Conv2d(config.channels, 8, 3, padding=1),
         torch.nn.ReLU(),
         torch.nn.Conv2d(8, 2, 3, padding=1),
     )
@@ -128,7 +152,8 @@ def test_a_map_over_a_long_stream(window):
     network.double()
     rng = np.random.default_rng(5)
     recent = random_events(0, sensor=sensor)
-    now_us = 0
+    now_us = 5_000
+    start_us = None
     done = 0
     while done < LONG_STREAM:
         n = int(rng.integers(1, 8_000))
@@ -136,12 +161,14 @@ def test_a_map_over_a_long_stream(window):
         events["t"] = now_us + np.cumsum(rng.integers(0, 13, n))
         now_us = int(events["t"][-1])
         late = rng.random(n) < 0.01
-        events["t"][late] = np.maximum(0, events["t"][late] - rng.integers(0, 2_000, late.sum()))
+        events["t"][late] -= rng.integers(0, 2_000, late.sum())
+        start_us = int(events["t"][0]) if start_us is None else start_us
         processor.push(events)
         done += n
         # more than enough: 30 ms hold about 5,000 events here
         recent = np.concatenate([recent, events])[-40_000:]
-        expected = image(held(recent, config), config)
+        recent = recent[recent["t"] >= start_us]
+        _, expected = held(recent, config, start_us=start_us)
         np.testing.assert_array_equal(processor.volume(), expected)
         with torch.no_grad():
             values = network(torch.from_numpy(expected)[None])[0].numpy()
@@ -180,6 +207,38 @@ def test_a_window_of_a_time_by_hand():
     assert volume.array[0, 2, 2] == 0 and volume.moment() == (29, 32, 3)
     volume.advance(1_000)
     assert volume.n_events == 0 == volume.array.sum() and volume.moment() == (32, 32, 0)
+
+
+def test_a_window_of_slices_by_hand():
+    """Three slices of 10 us from 100 us on. A pixel for each event says in which bin it is."""
+    volume = TNTVolume(config_of(last_us=30, representation="volume", bins=3, polarity="unsigned"))
+    volume.open(100)
+
+    def bins():
+        return {
+            (int(x), int(b)): int(volume.array[b, y, x])
+            for b, y, x in zip(*np.nonzero(volume.array), strict=True)
+        }
+
+    volume.update(([100, 109, 110, 119], [0, 1, 2, 3], [0] * 4, [1, 0, 1, 1]))
+    assert bins() == {(0, 1): 1, (1, 1): 1, (2, 2): 1, (3, 2): 1}
+    volume.update_one(129, 4, 0, 1)
+    assert bins() == {(0, 0): 1, (1, 0): 1, (2, 1): 1, (3, 1): 1, (4, 2): 1}
+    # a late event goes to its own slice
+    volume.update_one(101, 5, 0, 1)
+    assert bins()[5, 0] == 1
+    # the first slice leaves, and an event of it is too late then
+    volume.update(([130, 109], [6, 7], [0, 0], [1, 1]))
+    assert bins() == {(2, 0): 1, (3, 0): 1, (4, 1): 1, (6, 2): 1}
+    assert volume.counts.dropped_late == 1 and volume.moment() == (110, 130, 4)
+    # time passes without events; two slices leave
+    volume.advance(139)
+    assert volume.n_events == 4
+    volume.advance(150)
+    assert bins() == {(6, 0): 1} and volume.moment() == (130, 130, 1)
+    # a pause of many windows
+    volume.update_one(1_000_003, 8, 0, 0)
+    assert bins() == {(8, 2): 1} and volume.n_events == 1
 
 
 def test_a_full_window_of_a_time_loses_its_oldest_events(monkeypatch):
@@ -222,7 +281,7 @@ def test_decisions_are_about_the_window_as_it_is_then(window):
     assert [d.trigger for d in regular] == ["every_events"] * (len(events) // 3)
     assert end.trigger == "end" and not any(d.complete for d in decisions)
     for k, decision in enumerate(regular, 1):
-        inside = held(events[: 3 * k], model.config)
+        inside, _ = held(events[: 3 * k], model.config)
         np.testing.assert_allclose(decision.logits, logits_of(inside, model), atol=1e-4)
         assert decision.events == len(inside)
         assert decision.time_us == events["t"][3 * k - 1]
@@ -241,7 +300,7 @@ def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then(
     for moment in moments:
         n = int(np.searchsorted(events["t"], moment))
         if n > n_before and n < len(events):
-            inside = held(events[:n], model.config, int(moment))
+            inside, _ = held(events[:n], model.config, int(moment))
             expected.append((len(inside), logits_of(inside, model)))
             n_before = n
     assert [d.events for d in decisions[:-1]] == [n for n, _ in expected]
@@ -333,8 +392,22 @@ def test_the_log_and_the_network_follow_events_that_leave():
         ({"last_us": -1}, "`last_us` must be"),
         ({"last_events": 5, "last_us": 7}, "`last_us` must not be given with `last_events`: a wi"),
         ({"window_us": 5, "last_us": 7}, "`last_us` must not be given with `window_us`: a window"),
-        ({"last_us": 7, "representation": "volume"}, '`last_us` needs representation="count", tra'),
-        ({"last_us": 7, "grid": (5, 5)}, '`last_us` needs representation="count", transform="non'),
+        (
+            {"last_us": 7, "representation": "volume"},
+            '`last_us` needs representation="count" or "volume", transform="none"',
+        ),
+        (
+            {"last_us": 7, "representation": "volume", "transform": "none", "bins": 2},
+            "`last_us` must be a multiple of `bins`, 2, as bins are slices of equal length, got 7",
+        ),
+        (
+            {"last_events": 7, "representation": "volume", "transform": "none"},
+            '`last_events` needs representation="count", transform="none"',
+        ),
+        (
+            {"last_us": 7, "grid": (5, 5)},
+            '`last_us` needs representation="count" or "volume", transform="none"',
+        ),
         ({"last_events": 7, "transform": "tnt"}, '`last_events` needs representation="count", tra'),
         ({"last_events": 7, "representation": "time_surface"}, "`last_events` needs representati"),
     ],

@@ -6,6 +6,7 @@ from numba import float32, int64
 from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.volume import state as S
+from async_tnt.kernels.volume.slices import begin_slices
 
 ARRAY = float32[:, :, ::1]
 """Numba's type of a volume's array."""
@@ -63,6 +64,7 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints[S.NEWEST_US] = -1
     ints[S.RING_FIRST] = 0
     ints[S.RING_N] = 0
+    begin_slices(ints)
     ints[S.DECIDED_FROM_US] = S.NEVER_US
     ints[S.CLOSED_KEPT] = ints[S.KEPT]
     ints[S.CLOSED_TAU_ZERO] = ints[S.TAU_ZERO]
@@ -102,13 +104,26 @@ def cell_at(ints, corner):
     place = corner - S.CELLS
     b = place // plane
     y = (place - b * plane) // row
-    return b, y, place - b * plane - y * row
+    x = place - b * plane - y * row
+    if ints[S.SLICE_US] != 0:
+        b = _turned(ints, b, -ints[S.PHASE])
+    return b, y, x
 
 
 @inlined
 def row_at(ints, b, y):
-    """Index of the first cell of a row."""
+    """Index of the first cell of a row of channel b."""
+    if ints[S.SLICE_US] != 0:
+        b = _turned(ints, b, ints[S.PHASE])
     return S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW]
+
+
+@inlined
+def _turned(ints, b, phase):
+    """Channel b, or its plane, in the turn of the bins of its polarity."""
+    n_bins = ints[S.SPAN_US] // ints[S.SLICE_US]
+    first = b // n_bins * n_bins
+    return first + (b - first + phase + n_bins) % n_bins
 
 
 @inlined

@@ -6,6 +6,7 @@ holds the same events alone. Both changes go to the volume's log, like any other
 
     last events         an event leaves when so many have come after it
     last microseconds   an event at t leaves when the newest time reaches t + SPAN_US
+    the same in slices  an event leaves with its slice, see `slices`
 
 In a window of a time, the ring is in the order of times: an event that comes late is put to its
 place, and is dropped if it would have left already. If the ring is full, its oldest event leaves
@@ -18,12 +19,16 @@ from numba import int64
 from async_tnt.kernels.entry_points import entry_point
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.volume import state as S
+from async_tnt.kernels.volume.slices import begin_slice_of, newest_slice, plane_of, slice_of
 
 
 @inlined
-def _cell_of(buffer, ints, x, y, p):
-    """An event's cell, what it adds there, and both as one number for the ring."""
-    cell = S.CELLS + y * ints[S.ROW] + x
+def _cell_of(buffer, ints, plane, x, y, p):
+    """An event's cell, what it adds there, and both as one number for the ring.
+
+    plane : int. Where the plane of the event's slice begins; 0 without slices.
+    """
+    cell = S.CELLS + plane + y * ints[S.ROW] + x
     if p > 0:
         return cell, buffer[S.SIGN_ON], 2 * cell + 1
     cell += ints[S.OFF_SHIFT]
@@ -64,6 +69,22 @@ def _insert(ints, place, n, t, code):
 def slide(buffer, ints, t, x, y, p, first, last):
     """Let the events `first <= i < last` into the window, and those out that leave for them.
 
+    The parameters and what is returned are those of `_slide_in_slice`, but all slices are passed.
+    """
+    first = _slide_in_slice(buffer, ints, t, x, y, p, first, last)
+    while first < last:
+        time = t[first]
+        if time >= ints[S.LIMIT_US]:
+            break
+        begin_slice_of(ints, time)
+        first = _slide_in_slice(buffer, ints, t, x, y, p, first, last)
+    return first
+
+
+@compiled
+def _slide_in_slice(buffer, ints, t, x, y, p, first, last):
+    """`slide` up to the first event of a later slice, if the window has slices.
+
     An event before the stream's first window, or that would have left already, is late, and only
     counted.
 
@@ -74,7 +95,7 @@ def slide(buffer, ints, t, x, y, p, first, last):
 
     Returns
     -------
-    int : the first event not absorbed, at or after LIMIT_US.
+    int : the first event not absorbed, at or after LIMIT_US, or in a later slice.
     """
     # The numbers that each event changes are kept in registers, and written at the end.
     span_us = ints[S.SPAN_US]
@@ -88,6 +109,11 @@ def slide(buffer, ints, t, x, y, p, first, last):
     log = ints[S.LOG]
     log_mask = ints[S.LOG_SIZE] - 1
     n_log = ints[S.N_LOG]
+    plane, slice_begin_us, left_us = newest_slice(ints)
+    if ints[S.SLICE_US] != 0:
+        limit_us = min(limit_us, slice_begin_us + ints[S.SLICE_US])
+    # in a window of a number of events, SPAN_US is 0: none leaves for its age
+    leaves_by_age = (span_us > 0) & (ints[S.SLICE_US] == 0)
     begin = first
     n_late = 0
     while first < last:
@@ -95,25 +121,23 @@ def slide(buffer, ints, t, x, y, p, first, last):
         if time >= limit_us:
             break
         next_newest_us = max(newest_us, time)
-        # in a window of a number of events, SPAN_US is 0: none leaves for its age
-        left_us = next_newest_us - span_us if span_us > 0 else np.int64(-1)
+        if leaves_by_age:
+            left_us = next_newest_us - span_us
         if time < start_us or time <= left_us:
             n_late += 1
             first += 1
             continue
         if n == size:
-            # Too old ones leave first. If there are none, the oldest one leaves for this event.
-            while n > 0 and ints[ring + 2 * oldest] <= left_us:
-                n_log = _take(buffer, ints, ints[ring + 2 * oldest + 1], n_log)
-                n -= 1
-                oldest = oldest + 1 if oldest + 1 < size else 0
-            if n == size:
-                ints[S.LEFT_EARLY] += span_us > 0
-                n_log = _take(buffer, ints, ints[ring + 2 * oldest + 1], n_log)
-                n -= 1
-                oldest = oldest + 1 if oldest + 1 < size else 0
+            # The oldest event leaves for this one: because it is too old anyway, or early.
+            ints[S.LEFT_EARLY] += (span_us > 0) & (ints[ring + 2 * oldest] > left_us)
+            n_log = _take(buffer, ints, ints[ring + 2 * oldest + 1], n_log)
+            n -= 1
+            oldest = oldest + 1 if oldest + 1 < size else 0
 
-        cell, sign, code = _cell_of(buffer, ints, np.int64(x[first]), np.int64(y[first]), p[first])
+        own_plane = plane if time >= slice_begin_us else plane_of(ints, slice_of(ints, time))
+        column = np.int64(x[first])
+        row = np.int64(y[first])
+        cell, sign, code = _cell_of(buffer, ints, own_plane, column, row, p[first])
         buffer[cell] += sign
         ints[log + (n_log & log_mask)] = cell
         n_log += 1
@@ -131,11 +155,9 @@ def slide(buffer, ints, t, x, y, p, first, last):
 
     # Nobody has read the cells meanwhile, so too old events leave now, all together. A loop at each
     # event, whose length nobody can foresee, would take as long as all the rest.
-    if span_us > 0:
-        while n > 0 and ints[ring + 2 * oldest] <= newest_us - span_us:
-            n_log = _take(buffer, ints, ints[ring + 2 * oldest + 1], n_log)
-            n -= 1
-            oldest = oldest + 1 if oldest + 1 < size else 0
+    if leaves_by_age:
+        left_us = newest_us - span_us
+    oldest, n, n_log = _let_out(buffer, ints, ring, size, oldest, n, n_log, left_us)
 
     n_in = first - begin - n_late
     ints[S.RECEIVED] += first - begin
@@ -152,15 +174,41 @@ def slide(buffer, ints, t, x, y, p, first, last):
 
 
 @inlined
+def _let_one_out(buffer, ints, ring, size, oldest, n, n_log):
+    """Take the oldest event of the ring from its cell.
+
+    Parameters
+    ----------
+    ring, size, oldest, n, n_log : int. RING, RING_SIZE, RING_FIRST, RING_N and N_LOG, which are
+        not read from `ints`.
+
+    Returns
+    -------
+    oldest, n, n_log : int, as they are now.
+    """
+    n_log = _take(buffer, ints, ints[ring + 2 * oldest + 1], n_log)
+    oldest = oldest + 1 if oldest + 1 < size else 0
+    return oldest, n - 1, n_log
+
+
+@inlined
+def _let_out(buffer, ints, ring, size, oldest, n, n_log, left_us):
+    """`_let_one_out` for all events at or before a time."""
+    while n > 0 and ints[ring + 2 * oldest] <= left_us:
+        oldest, n, n_log = _let_one_out(buffer, ints, ring, size, oldest, n, n_log)
+    return oldest, n, n_log
+
+
+@inlined
 def _note_changed(ints):
-    """Note that cells of the one bin have changed."""
+    """Note that cells of any bin have changed."""
     ints[S.INTERVAL_LO] = 0
     ints[S.INTERVAL_HI] = S.NO_INTERVAL
 
 
 @compiled
 def slide_one(buffer, ints, t, x, y, p):
-    """`slide` for one event before LIMIT_US. Returns whether it came in: it is not late.
+    """`slide` for one event before LIMIT_US, in any slice. Returns whether it came in.
 
     t, x, y, p : int. Microseconds, pixel, polarity: positive for ON.
     """
@@ -168,57 +216,42 @@ def slide_one(buffer, ints, t, x, y, p):
     span_us = ints[S.SPAN_US]
     newest_us = ints[S.NEWEST_US]
     next_newest_us = max(newest_us, t)
-    left_us = next_newest_us - span_us if span_us > 0 else np.int64(-1)
+    begin_slice_of(ints, t)
+    plane, slice_begin_us, left_us = newest_slice(ints)
+    if span_us > 0 and ints[S.SLICE_US] == 0:
+        left_us = next_newest_us - span_us
     if t < ints[S.START_US] or t <= left_us:
         ints[S.LATE] += 1
         return False
     ints[S.N] += 1
     ints[S.KEPT] += 1
     ints[S.NEWEST_US] = next_newest_us
-    _let_leave(buffer, ints, left_us)
-    if ints[S.RING_N] == ints[S.RING_SIZE]:
+    ring = ints[S.RING]
+    size = ints[S.RING_SIZE]
+    oldest, n, n_log = _let_out(
+        buffer, ints, ring, size, ints[S.RING_FIRST], ints[S.RING_N], ints[S.N_LOG], left_us
+    )
+    if n == size:
         ints[S.LEFT_EARLY] += span_us > 0
-        _let_oldest_leave(buffer, ints)
+        oldest, n, n_log = _let_one_out(buffer, ints, ring, size, oldest, n, n_log)
 
-    cell, sign, code = _cell_of(buffer, ints, x, y, p)
+    if t < slice_begin_us:
+        plane = plane_of(ints, slice_of(ints, t))
+    cell, sign, code = _cell_of(buffer, ints, plane, x, y, p)
     buffer[cell] += sign
-    _log_cell(ints, cell)
+    ints[ints[S.LOG] + (n_log & (ints[S.LOG_SIZE] - 1))] = cell
+    ints[S.N_LOG] = n_log + 1
     _note_changed(ints)
-    n = ints[S.RING_N]
-    place = (ints[S.RING_FIRST] + n) % ints[S.RING_SIZE]
+    place = (oldest + n) % size
     if span_us > 0 and t < newest_us:
         _insert(ints, place, n, t, code)
     else:
-        at = ints[S.RING] + 2 * place
+        at = ring + 2 * place
         ints[at] = t
         ints[at + 1] = code
+    ints[S.RING_FIRST] = oldest
     ints[S.RING_N] = n + 1
     return True
-
-
-@inlined
-def _log_cell(ints, cell):
-    """Note that a cell has changed."""
-    ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = cell
-    ints[S.N_LOG] += 1
-
-
-@inlined
-def _let_oldest_leave(buffer, ints):
-    """Take the oldest event of the ring from its cell."""
-    code = ints[ints[S.RING] + 2 * ints[S.RING_FIRST] + 1]
-    ints[S.N_LOG] = _take(buffer, ints, code, ints[S.N_LOG])
-    ints[S.RING_N] -= 1
-    ints[S.RING_FIRST] += 1
-    if ints[S.RING_FIRST] == ints[S.RING_SIZE]:
-        ints[S.RING_FIRST] = 0
-
-
-@inlined
-def _let_leave(buffer, ints, left_us):
-    """Let the events at or before a time leave."""
-    while ints[S.RING_N] > 0 and ints[ints[S.RING] + 2 * ints[S.RING_FIRST]] <= left_us:
-        _let_oldest_leave(buffer, ints)
 
 
 @inlined
@@ -239,6 +272,18 @@ def advance(buffer, now_us):
     now_us : int. A time; before the newest event nothing happens.
     """
     ints = buffer.view(np.int64)
-    if ints[S.SPAN_US] > 0 and ints[S.RING_N] > 0 and now_us > ints[S.NEWEST_US]:
-        _note_changed(ints)
-        _let_leave(buffer, ints, now_us - ints[S.SPAN_US])
+    if ints[S.SPAN_US] == 0 or ints[S.RING_N] == 0 or now_us <= ints[S.NEWEST_US]:
+        return
+    begin_slice_of(ints, now_us)
+    _, _, left_us = newest_slice(ints)
+    if ints[S.SLICE_US] == 0:
+        left_us = now_us - ints[S.SPAN_US]
+    _note_changed(ints)
+    ring = ints[S.RING]
+    size = ints[S.RING_SIZE]
+    oldest, n, n_log = _let_out(
+        buffer, ints, ring, size, ints[S.RING_FIRST], ints[S.RING_N], ints[S.N_LOG], left_us
+    )
+    ints[S.RING_FIRST] = oldest
+    ints[S.RING_N] = n
+    ints[S.N_LOG] = n_log

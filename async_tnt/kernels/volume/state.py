@@ -97,6 +97,9 @@ RING_FIRST = 49  # place of the oldest event
 RING_N = 50  # events in the ring
 SPAN_US = 51  # the length of a window of a time; 0: a window of a number of events
 LEFT_EARLY = 52  # events that left because the ring was full, since the volume was made
+SLICE_US = 53  # the length of a slice; 0: the window has no slices
+SLICE = 54  # number of the newest slice, from the window's start on
+PHASE = 55  # the plane that holds the first bin: planes take turns, so that nothing is moved
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 # the events of a block: all rows together (24 kB) and an interval's cells fit in the first-level
