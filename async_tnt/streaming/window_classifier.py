@@ -24,7 +24,7 @@ from async_tnt.networks.models.objects import (
 )
 from async_tnt.streaming.decision import Decision, Object, Trigger
 from async_tnt.streaming.stretches import decide_stretch, not_finite_error
-from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.config import WINDOW_US, TNTConfig
 from async_tnt.volume.events import Columns
 from async_tnt.volume.volume import TNTVolume
 
@@ -146,7 +146,10 @@ class WindowClassifier:
             return np.empty((0, 4))
         shape = reader.shape
         places = getattr(classifier, "places", None) or even_places(shape, self._config.sensor)
-        tracks = new_tracks(places, shape, self._config.window_us)
+        config = self._config
+        # of the last events nobody knows how long they take
+        memory_us = WINDOW_US if config.last_events is not None else config.window_us
+        tracks = new_tracks(places, shape, memory_us)
         # The numbering goes on, so that no number is given twice in a stream.
         if len(self._tracks):
             tracks[0, NEXT_NUMBER] = self._tracks[0, NEXT_NUMBER]

@@ -258,6 +258,8 @@ class TNTConfig:
                 f'needs {kinds}, transform="none" and the sensor\'s own grid, as only counts of '
                 "events can be taken back exactly"
             )
+            if self.representation == "time_surface":
+                rule = f"needs {kinds}: all pixels of a time surface decay with every event"
             got = (
                 f"representation={self.representation!r}, transform={self.transform!r}, "
                 f"grid={self.grid}, sensor={self.sensor}"

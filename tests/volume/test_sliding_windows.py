@@ -409,7 +409,10 @@ def test_the_log_and_the_network_follow_events_that_leave():
             '`last_us` needs representation="count" or "volume", transform="none"',
         ),
         ({"last_events": 7, "transform": "tnt"}, '`last_events` needs representation="count", tra'),
-        ({"last_events": 7, "representation": "time_surface"}, "`last_events` needs representati"),
+        (
+            {"last_events": 7, "representation": "time_surface", "transform": "none"},
+            '`last_events` needs representation="count": all pixels of a time surface decay with',
+        ),
     ],
 )
 def test_what_cannot_slide_is_refused(settings, message):
