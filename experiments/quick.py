@@ -48,6 +48,7 @@ QUICK = {
     "spiking": "--quick --nmnist {nmnist} --json {out}/x.json",
     "starts": "--quick",
     "sliding": "--quick --json {out}/x.json",
+    "sliding_training": "--quick --json {out}/x.json --out {out}/sliding",
     "sustained": "--quick",
     "thesis_table": "--smoke --nmnist {nmnist} --mnist {mnist} --images 2 --out {out}",
     "threads": "--quick",

@@ -194,7 +194,18 @@ def score_recording(
 def _objects_of(processor: Processor) -> np.ndarray:
     """The objects that a Processor finds in its open window: float64, (M, FOUND_SIZE)."""
     objects = processor.fire().objects or ()
-    rows = [(item.x, item.y, item.probability, item.index, item.id) for item in objects]
+    rows = [
+        (
+            item.x,
+            item.y,
+            item.probability,
+            item.index,
+            item.id,
+            item.width or 0.0,
+            item.height or 0.0,
+        )
+        for item in objects
+    ]
     return np.array(rows, float).reshape(-1, FOUND_SIZE)
 
 

@@ -32,16 +32,43 @@ class Object:
     """Number of the object. It stays the same while the object moves little between two decisions.
     A new object gets the next unused number. `fire` uses up no number: the number of an object that
     only `fire` has found may go to another object at the next decision."""
+    width: float | None = None
+    """Width of the object's box, in sensor pixels. None if the model says no sizes."""
+    height: float | None = None
+    """Height of the object's box, in sensor pixels. None if the model says no sizes."""
+
+    @property
+    def box(self) -> tuple[float, float, float, float] | None:
+        """The object's box (x0, y0, x1, y1) around its place, in sensor pixels.
+
+        It may reach beyond the sensor. None if the model says no sizes.
+        """
+        if self.width is None or self.height is None:
+            return None
+        half_width = self.width / 2
+        half_height = self.height / 2
+        return (
+            self.x - half_width,
+            self.y - half_height,
+            self.x + half_width,
+            self.y + half_height,
+        )
 
     def to_dict(self) -> dict[str, Any]:
-        """A dictionary of plain values, for JSON: probability to six decimals, place to two."""
-        return {
+        """A dictionary of plain values, for JSON: probability to six decimals, places to two.
+
+        It has a `box` if the model says sizes.
+        """
+        values: dict[str, Any] = {
             "id": self.id,
             "label": self.label,
             "probability": round(self.probability, 6),
             "x": round(self.x, 2),
             "y": round(self.y, 2),
         }
+        if self.box is not None:
+            values["box"] = [round(side, 2) for side in self.box]
+        return values
 
 
 LIKELIEST = 3

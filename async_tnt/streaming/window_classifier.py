@@ -85,7 +85,7 @@ class WindowClassifier:
         else:
             shape: Any = getattr(classifier, "logits_shape", ())
             if len(shape) == 3:
-                reader = ObjectReader(shape)
+                reader = self._new_reader(shape)
         _check_confidence(reader, confidence)
         tracks = self._new_tracks(reader, classifier)
         decides_in_stretches = (
@@ -229,10 +229,16 @@ class WindowClassifier:
             raise ParameterValueError("classifier", rule, f"shape {logits.shape}")
         return logits.reshape(shape)
 
+    def _new_reader(self, shape: tuple[int, ...]) -> ObjectReader:
+        """A reader of maps of this shape. Maps have sizes if there are three channels too many."""
+        n_classes = None if self.classes is None else len(self.classes)
+        has_sizes = n_classes is not None and shape[0] == n_classes + 3
+        return ObjectReader(shape, n_classes if has_sizes else None)
+
     def _reader_for(self, shape: tuple[int, ...]) -> ObjectReader:
         """The reader of maps of this shape."""
         if self._reader is None or self._reader.shape != shape:
-            reader = ObjectReader(shape)
+            reader = self._new_reader(shape)
             self._tracks = self._new_tracks(reader, self.classifier)
             self._reader = reader
         return self._reader
@@ -253,13 +259,20 @@ class WindowClassifier:
         if n < 0:
             got = "some on its map that are not"
             raise ParameterValueError("classifier", "must return finite logits", got)
-        classes = self._classes_for(logits.shape[0] - 1, is_map=True)
         reader = self._reader
         assert reader is not None
-        objects = tuple(
-            Object(classes[int(k)], int(k), probability, x, y, int(number))
-            for x, y, probability, k, number in reader.found[:n].tolist()
-        )
+        classes = self._classes_for(reader.n_classes, is_map=True)
+        rows = reader.found[:n].tolist()
+        if reader.has_sizes:
+            objects = tuple(
+                Object(classes[int(k)], int(k), probability, x, y, int(number), width, height)
+                for x, y, probability, k, number, width, height in rows
+            )
+        else:
+            objects = tuple(
+                Object(classes[int(k)], int(k), probability, x, y, int(number))
+                for x, y, probability, k, number, _, _ in rows
+            )
         label = None
         index = -1
         if objects:
@@ -318,7 +331,9 @@ class WindowClassifier:
         if n == n_expected:
             return self.classes
         if is_map:
-            rule = f"must return {n_expected + 1} channels, one more than classes"
+            rule = (
+                f"must return {n_expected + 1} channels, one more than classes, or {n_expected + 3}"
+            )
             raise ParameterValueError("classifier", rule, n + 1)
         rule = f"must return {n_expected} logits, one for each class"
         raise ParameterValueError("classifier", rule, n)

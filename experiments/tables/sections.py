@@ -13,6 +13,7 @@ from experiments.tables import (
     flow,
     published,
     sliding,
+    sliding_curves,
     spiking,
     streams,
     thesis,
@@ -39,6 +40,7 @@ from experiments.tables.texts import (
     RECIPE,
     SIMULATED,
     SLIDING,
+    SLIDING_TRAINING,
     SPIKING,
     STARTS,
     SUSTAINED,
@@ -409,6 +411,18 @@ SECTIONS = (
             sliding.sliding_events: "An event into an image of counts, in packets of 1,300",
             sliding.sliding_decisions: "A decision after every event, RoShamBo's network",
             sliding.sliding_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Training on windows that slide",
+        text=SLIDING_TRAINING,
+        command=(
+            "experiments.sliding_training --nmnist N-MNIST --cars N-CARS --seeds 2 "
+            "--json experiments/results/sliding_training.json --picture docs/images/sliding.png"
+        ),
+        picture="sliding",
+        tables={
+            sliding_curves.sliding_training: "Accuracy against the time since the first event",
         },
     ),
     Section(

@@ -11,7 +11,7 @@ from .landmarks import fitted_flow, landmark
 from .layers import LayerNetwork, heatmap_centroid
 from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
-from .objects import FoundObject, ObjectNumbers, objects_on_map
+from .objects import FoundObject, ObjectNumbers, box_overlap, boxes_on_map, objects_on_map
 from .transform import TNTCoordinates, tnt_coordinates
 from .volume import event_volume, tnt_volume
 from .window import until_newest, windows_of_events
@@ -24,6 +24,8 @@ __all__ = [
     "ObjectNumbers",
     "Pipeline",
     "TNTCoordinates",
+    "box_overlap",
+    "boxes_on_map",
     "count_image",
     "count_timestamp_image",
     "event_volume",

@@ -14,18 +14,79 @@ from torch.nn import functional as F
 
 
 class FoundObject(NamedTuple):
-    """An object: the index of its class, its probability, and its place on the map.
+    """An object: the index of its class, its probability, and its place and size on the map.
 
-    The place is given in columns and rows.
+    Place and size are given in columns and rows. The size is 0 if the map has none.
     """
 
     label: int
     probability: float
     column: float
     row: float
+    width: float = 0.0
+    height: float = 0.0
 
 
-def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
+def box_overlap(
+    place: tuple[float, float],
+    size: tuple[float, float],
+    other_place: tuple[float, float],
+    other_size: tuple[float, float],
+) -> float:
+    """The area that two boxes share, divided by the area that they cover; 0 without areas.
+
+    Each box has a middle (x, y) and a size (width, height).
+    """
+    shared = 1.0
+    for middle, side, other_middle, other_side in zip(
+        place, size, other_place, other_size, strict=True
+    ):
+        upper = min(middle + side / 2, other_middle + other_side / 2)
+        lower = max(middle - side / 2, other_middle - other_side / 2)
+        shared *= max(0.0, upper - lower)
+    covered = size[0] * size[1] + other_size[0] * other_size[1] - shared
+    return shared / covered if covered > 0 else 0.0
+
+
+def boxes_on_map(
+    maps: torch.Tensor, scale: tuple[float, float], most_overlap: float = 0.5, near: int = 1
+) -> list[FoundObject]:
+    """The objects on a map whose last two channels say how large they are, the likeliest first.
+
+    At a peak of the logits, see `objects_on_map`, with the numbers a and b of these channels:
+
+        width = exp(min(max(a, -10), 10))    height = exp(min(max(b, -10), 10))
+
+    in columns and rows. From the likeliest on, an object is left out if its box overlaps by more
+    than `most_overlap` with that of an object of its class that is not left out.
+
+    Parameters
+    ----------
+    maps : (K + 3, R, C).
+    scale : the distances between neighbouring columns and rows: boxes overlap in these units.
+    """
+    kept: list[FoundObject] = []
+    for found in objects_on_map(maps[:-2], near, maps[-2:].double().clamp(-10, 10).exp()):
+        overlaps = [
+            box_overlap(_scaled(found[2:4], scale), _scaled(found[4:], scale), place, size)
+            for place, size in (
+                (_scaled(other[2:4], scale), _scaled(other[4:], scale))
+                for other in kept
+                if other.label == found.label
+            )
+        ]
+        if all(overlap <= most_overlap for overlap in overlaps):
+            kept.append(found)
+    return kept
+
+
+def _scaled(pair: tuple[float, ...], scale: tuple[float, float]) -> tuple[float, float]:
+    return pair[0] * scale[0], pair[1] * scale[1]
+
+
+def objects_on_map(
+    logits: torch.Tensor, near: int = 1, sizes: torch.Tensor | None = None
+) -> list[FoundObject]:
     """The objects on a map, the likeliest first.
 
         s(y, x) = max_k<K z_k(y, x) - z_K(y, x)
@@ -40,6 +101,7 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     ----------
     logits : (K + 1, R, C): a channel for each class, then one for "no object here".
     near : number of rows and of columns around an object in which there is no other object.
+    sizes : (2, R, C), the width and height of an object at each place; None: objects have none.
 
     Example
     -------
@@ -68,7 +130,8 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
         place_x = float((weights.sum(0) * xs).sum() / weights.sum())
         place_y = float((weights.sum(1) * ys).sum() / weights.sum())
         probability = float(probabilities[index, row, column])
-        objects.append(FoundObject(index, probability, place_x, place_y))
+        width, height = (0.0, 0.0) if sizes is None else sizes[:, row, column].tolist()
+        objects.append(FoundObject(index, probability, place_x, place_y, width, height))
     return sorted(objects, key=lambda found_object: -found_object.probability)
 
 
@@ -77,6 +140,7 @@ class _KnownObject(NamedTuple):
 
     number : the object's number.
     x, y, time_us : where and when the object was seen last.
+    size : the width and height of its box then.
     decision : the last decision that saw the object, counted from 0.
     rank : how many objects of that decision were likelier.
     """
@@ -87,6 +151,7 @@ class _KnownObject(NamedTuple):
     time_us: int
     decision: int
     rank: int
+    size: tuple[float, float] = (0.0, 0.0)
 
 
 class ObjectNumbers:
@@ -98,6 +163,9 @@ class ObjectNumbers:
     nearest known object whose number is not taken yet, if
 
         ((x - x') / reach_x)^2 + ((y - y') / reach_y)^2 < 1    and    time - time' <= memory_us
+
+    An object with a box takes the number of the known object whose box overlaps most with its own,
+    however near others are; of equal overlaps, the nearer one.
 
     If there is no such object, the object gets a new number. Among known objects that are equally
     near, it takes the number of the one seen by the latest decision and, within that decision, of
@@ -132,15 +200,30 @@ class ObjectNumbers:
         self.next_number = 0
         self.decision = 0
 
-    def follow(self, time_us: int, places: Sequence[tuple[float, float]]) -> list[int]:
-        """The numbers of a decision's objects, given by their (x, y), the likeliest first."""
+    def follow(
+        self,
+        time_us: int,
+        places: Sequence[tuple[float, float]],
+        sizes: Sequence[tuple[float, float]] | None = None,
+    ) -> list[int]:
+        """The numbers of a decision's objects, given by their (x, y), the likeliest first.
+
+        sizes : the width and height of their boxes; None: they have none.
+        """
         free_objects = [known for known in self.known if time_us - known.time_us <= self.memory_us]
         current_objects = []
         for rank, (x, y) in enumerate(places):
+            size = (0.0, 0.0) if sizes is None else sizes[rank]
+            candidates = [
+                (known, box_overlap((x, y), size, (known.x, known.y), known.size))
+                for known in free_objects
+                if rank < self.most
+            ]
+            most_overlap = max((overlap for _, overlap in candidates), default=0.0)
             near = [
                 known
-                for known in free_objects
-                if self._distance(known, x, y) < 1 and rank < self.most
+                for known, overlap in candidates
+                if overlap == most_overlap and (overlap > 0 or self._distance(known, x, y) < 1)
             ]
             number = self.next_number
             if near:
@@ -149,7 +232,8 @@ class ObjectNumbers:
                 number = nearest.number
             else:
                 self.next_number += 1
-            current_objects.append(_KnownObject(number, x, y, time_us, self.decision, rank))
+            current = _KnownObject(number, x, y, time_us, self.decision, rank, size)
+            current_objects.append(current)
         earlier = sorted(free_objects, key=lambda known: (-known.decision, known.rank))
         self.known = (current_objects[: self.most] + earlier)[: self.room]
         self.decision += 1

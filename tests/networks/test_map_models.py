@@ -249,7 +249,7 @@ def test_scores_and_peaks_follow_the_map(seed, script):
         n = classifier.locate(volumes[0], tracks, 0, False)
         logits = dense(volumes[0].array)
         assert classifier.map.tobytes() == logits.tobytes()
-        rows = [(int(c), p, x, y) for x, y, p, c, _ in classifier.reader.found[:n].tolist()]
+        rows = [(int(c), p, x, y) for x, y, p, c, *_ in classifier.reader.found[:n].tolist()]
         assert_rows(rows, expected_rows(logits, model.places))
 
 
@@ -650,7 +650,9 @@ def test_what_a_map_model_refuses():
         ValueError, match=r"must be for the sensor \(140, 80\), in whose pixels objects stand"
     ):
         Processor(larger, classifier=CompiledClassifier(model), classes=model.classes)
-    with pytest.raises(ValueError, match="must return 4 channels, one more than classes, got 3"):
+    with pytest.raises(
+        ValueError, match="must return 4 channels, one more than classes, or 6, got 3"
+    ):
         Processor(CONFIG, classifier=lambda volume: np.zeros((3, 2, 2)), classes=list("abc")).fire()
     one_place = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(4, 4, 1))
     with pytest.raises(ValueError, match=r"must compute 3 logits, .* got \(4, 1, 1\)"):

@@ -10,10 +10,20 @@ class there. Its position is the mean of the places
 within one row and column of the peak, weighted by their scores where these are positive. Objects
 are listed from the likeliest on.
 
+A map may say how large objects are. Then two channels a and b follow `nothing`, and with the
+distances dx and dy between neighbouring places, in sensor pixels, an object at a peak has
+
+    width = dx exp(a),  height = dy exp(b)        with a and b limited to [-10, 10]
+
+Its box has this size around its position. Of two objects of a class whose boxes overlap by more
+than SUPPRESSED, only the likelier one is listed. The overlap of two boxes is the area that they
+share, divided by the area that they cover together.
+
 An object takes the number of an earlier object that is nearer than a given reach, or else a new
 number. The likeliest object chooses first, and takes the number of the nearest earlier object. Of
 equally near objects it takes the object seen last or, if they were seen in the same decision, the
-likelier one.
+likelier one. An object with a box takes the number of the earlier one whose box overlaps most with
+its own, however near others are; of equal overlaps, the nearer one.
 
 What is remembered has limited room. The objects of a decision are remembered first, then those that
 were seen before and are not found now. Where there is no room for all, those that were seen longest
@@ -39,6 +49,10 @@ from async_tnt.kernels.volume import state as S
 
 NEAR = 1
 """Rows and columns around a peak within which no score is larger."""
+SUPPRESSED = 0.5
+"""The largest overlap of two boxes of a class that are both listed."""
+LARGEST_EXPONENT = 10.0
+"""The limit of the numbers that say how large an object is."""
 MOST_TRACKED = 256
 """How many objects of a decision, the likeliest ones, may take the number of an earlier one."""
 
@@ -49,12 +63,13 @@ DX = 2  # stride of the columns, in numbers
 DK = 3  # stride of the channels, in numbers
 ROWS = 4
 COLUMNS = 5
-CHANNELS = 6  # the classes, and as the last channel `nothing`
+CHANNELS = 6  # the classes, and then `nothing`; not the channels of sizes
 NOT_FINITE = 7  # number of places with a logit that is not finite
 # How many steps write the map. Behind the header stands a number for each of these steps: where in
 # the program the record of its changes begins.
 N_SOURCES = 8
-ABOUT_SIZE = 9  # numbers in the header
+HAS_SIZES = 9  # 1 if two channels behind `nothing` say how large objects are
+ABOUT_SIZE = 10  # numbers in the header
 
 # `found`, float64: a row for each object
 X = 0  # sensor pixels
@@ -62,10 +77,12 @@ Y = 1
 PROBABILITY = 2
 CLASS = 3
 NUMBER = 4
-FOUND_SIZE = 5  # numbers in a row
+WIDTH = 5  # of its box, in sensor pixels; 0 without sizes
+HEIGHT = 6
+FOUND_SIZE = 7  # numbers in a row
 
-# `tracks`, float64: rows of four numbers. The first three rows are headers. The rows after them are
-# objects of earlier decisions.
+# `tracks`, float64: rows of TRACK_SIZE numbers. The first three rows are headers. The rows after
+# them are objects of earlier decisions.
 # the first header: how many objects are known, and for how long
 HEAD = 0
 N_KNOWN = 0
@@ -87,6 +104,9 @@ KNOWN_NUMBER = 0
 KNOWN_X = 1
 KNOWN_Y = 2
 KNOWN_US = 3  # when it was seen last
+KNOWN_WIDTH = 4
+KNOWN_HEIGHT = 5
+TRACK_SIZE = 6  # numbers in a row
 
 
 SCORES = (int64[::1], float64[:, ::1], uint64[:, ::1])
@@ -122,9 +142,12 @@ def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_
                 found[n, PROBABILITY] = probabilities[n, best]
                 found[n, CLASS] = best
                 _write_position(scores, y, x, tracks[ON_SENSOR], found[n])
+                _write_size(maps, about, y, x, tracks[ON_SENSOR], found[n])
                 peak_bits &= peak_bits - np.uint64(1)  # clears the lowest bit
                 n += 1
     _sort(probabilities, found, n)
+    if about[HAS_SIZES] != 0:
+        n = _suppress(probabilities, found, n)
     _number_objects(found, n, tracks, time_us, keep)
     return n
 
@@ -182,7 +205,7 @@ def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time
     probabilities : float64, (n, channels). Overwritten, a row for each object: softmax of the
         logits at its peak.
     found : float64, (n, FOUND_SIZE). Overwritten, a row for each object.
-    tracks : float64, (KNOWN + m, 4): the m objects seen last. Updated in place if `keep`.
+    tracks : float64, (KNOWN + m, TRACK_SIZE): the m objects seen last. Updated in place if `keep`.
     time_us : int. The decision's time.
     keep : bool. Whether these objects, and their numbers, are remembered.
 
@@ -247,7 +270,7 @@ def _changed_bits(program, bits, sources, first, last, word):
 
 @compiled
 def _write_score(maps, about, scores, y, x):
-    """Write the score of a place: nan where a logit is not finite.
+    """Write the score of a place: nan where a number of its channels is not finite.
 
     Scores are float64, in which no difference of logits overflows.
     """
@@ -260,6 +283,9 @@ def _write_score(maps, about, scores, y, x):
         logit = maps[np.uint64(at + k * about[DK])]
         finite &= np.isfinite(logit)
         best = max(best, logit)
+    if about[HAS_SIZES] != 0:
+        for k in range(n_classes + 1, n_classes + 3):
+            finite &= np.isfinite(maps[np.uint64(at + k * about[DK])])
     score = np.float64(best) - np.float64(nothing) if finite else np.nan
     about[NOT_FINITE] += np.int64(np.isnan(score)) - np.int64(np.isnan(scores[y, x]))
     scores[y, x] = score
@@ -338,6 +364,87 @@ def _write_position(scores, y, x, map_to_sensor, row):
 
 
 @compiled
+def _write_size(maps, about, y, x, map_to_sensor, row):
+    """Write the width and the height of an object at a peak; zeros if the map has none."""
+    row[WIDTH] = 0.0
+    row[HEIGHT] = 0.0
+    if about[HAS_SIZES] != 0:
+        at = about[FIRST] + y * about[DY] + x * about[DX] + about[CHANNELS] * about[DK]
+        row[WIDTH] = map_to_sensor[DX_PX] * _limited_exp(maps[at])
+        row[HEIGHT] = map_to_sensor[DY_PX] * _limited_exp(maps[at + about[DK]])
+
+
+@compiled
+def _limited_exp(exponent):
+    """exp of a number that is limited to [-LARGEST_EXPONENT, LARGEST_EXPONENT]."""
+    limited = min(max(np.float64(exponent), -LARGEST_EXPONENT), LARGEST_EXPONENT)
+    return np.exp(limited)
+
+
+@compiled
+def overlap(x, y, width, height, other_x, other_y, other_width, other_height):
+    """The area that two boxes share, divided by the area that they cover; 0 without areas."""
+    right = min(x + width / 2, other_x + other_width / 2)
+    left = max(x - width / 2, other_x - other_width / 2)
+    bottom = min(y + height / 2, other_y + other_height / 2)
+    top = max(y - height / 2, other_y - other_height / 2)
+    shared = max(right - left, 0.0) * max(bottom - top, 0.0)
+    covered = width * height + other_width * other_height - shared
+    return shared / covered if covered > 0.0 else 0.0
+
+
+@compiled
+def _suppress(probabilities, found, n):
+    """Leave out objects that overlap with likelier ones of their class. Returns how many stay.
+
+    The n objects are sorted, the likeliest first.
+    """
+    n_kept = 0
+    for i in range(n):
+        is_kept = True
+        for j in range(n_kept):
+            if found[j, CLASS] == found[i, CLASS] and _overlap_of(found[i], found[j]) > SUPPRESSED:
+                is_kept = False
+                break
+        if is_kept:
+            if n_kept < i:
+                _swap(found, n_kept, i)
+                _swap(probabilities, n_kept, i)
+            n_kept += 1
+    return n_kept
+
+
+@compiled
+def _overlap_of(one, other):
+    """The overlap of two objects of a decision."""
+    return overlap(
+        one[X],
+        one[Y],
+        one[WIDTH],
+        one[HEIGHT],
+        other[X],
+        other[Y],
+        other[WIDTH],
+        other[HEIGHT],
+    )
+
+
+@compiled
+def _overlap_with_known(one, known):
+    """The overlap of an object of a decision with an earlier one."""
+    return overlap(
+        one[X],
+        one[Y],
+        one[WIDTH],
+        one[HEIGHT],
+        known[KNOWN_X],
+        known[KNOWN_Y],
+        known[KNOWN_WIDTH],
+        known[KNOWN_HEIGHT],
+    )
+
+
+@compiled
 def _sort(probabilities, found, n):
     """Sort n objects, the likeliest first. By Shell's sort: a map of noise may have thousands."""
     step = 1
@@ -369,6 +476,7 @@ def _number_objects(found, n, tracks, time_us, keep):
     for i in range(n):
         nearest = -1
         least_distance = 1.0  # squared distance, in units of the reach
+        most_overlap = 0.0  # of boxes; without sizes it is always 0
         n_candidates = n_known if i < MOST_TRACKED else 0
         # From the object seen last on, so that it is taken if others are as near.
         for j in range(n_candidates - 1, -1, -1):
@@ -376,9 +484,14 @@ def _number_objects(found, n, tracks, time_us, keep):
             dy = (found[i, Y] - tracks[KNOWN + j, KNOWN_Y]) / tracks[REACH, REACH_Y]
             distance = dx * dx + dy * dy
             is_old = time_us - tracks[KNOWN + j, KNOWN_US] > tracks[HEAD, MEMORY_US]
-            if distance < least_distance and not is_taken[j] and not is_old:
+            if is_taken[j] or is_old:
+                continue
+            shared = _overlap_with_known(found[i], tracks[KNOWN + j])
+            is_nearer = shared == most_overlap and distance < least_distance
+            if shared > most_overlap or is_nearer:
                 nearest = j
                 least_distance = distance
+                most_overlap = shared
         if nearest >= 0:
             is_taken[nearest] = True
             found[i, NUMBER] = tracks[KNOWN + nearest, KNOWN_NUMBER]
@@ -422,5 +535,7 @@ def _remember(found, n, tracks, is_taken, time_us):
         row[KNOWN_X] = found[i, X]
         row[KNOWN_Y] = found[i, Y]
         row[KNOWN_US] = time_us
+        row[KNOWN_WIDTH] = found[i, WIDTH]
+        row[KNOWN_HEIGHT] = found[i, HEIGHT]
         n_kept += 1
     tracks[HEAD, N_KNOWN] = n_kept

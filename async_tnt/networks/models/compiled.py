@@ -93,7 +93,7 @@ class CompiledClassifier:
         self.logits_shape = model.logits_shape
         self.reader: ObjectReader | None = None
         if self.places is not None:
-            self.reader = ObjectReader(self.logits_shape, *self._program.outputs[0])
+            self.reader = ObjectReader(self.logits_shape, self.n_classes, *self._program.outputs[0])
         self._prepare()
 
     def _prepare(self) -> None:

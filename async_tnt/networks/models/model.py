@@ -534,13 +534,16 @@ def _checked_shapes(
 def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
     """Refuse logits that are neither one number for each class nor a map.
 
-    A map has a channel for each class, and a last channel for "no object here".
+    A map has a channel for each class, and then one for "no object here". Two more may say how
+    large objects are.
     """
-    is_map = len(logits) == 3 and logits[0] == n_classes + 1 and logits[1:] != (1, 1)
+    n_of_map = (n_classes + 1, n_classes + 3)
+    is_map = len(logits) == 3 and logits[0] in n_of_map and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(
             f"the network must compute {n_classes} logits, one for each class, or a map of "
-            f"{n_classes + 1} channels, one for each class and the last for nothing; got {logits}"
+            f"{n_classes + 1} channels, one for each class and the last for nothing, or of "
+            f"{n_classes + 3}, with two more for the width and height of objects; got {logits}"
         )
     if is_map and config.transform != "none":
         raise ValueError(

@@ -1,6 +1,7 @@
 """The objects on the sensor and their places, read from a map of logits.
 
-The map has the shape (n_classes + 1, rows, columns). Its last channel means "no object here".
+The map has the shape (n_classes + 1, rows, columns). Its last channel means "no object here". With
+two channels more it also says how large objects are, see `kernels.decisions.objects`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from async_tnt.volume.config import TNTConfig
 REACH = 4
 """How many places an object may move between two decisions and still be the same object."""
 
-LOGITS_SHAPES = "(1, n_classes), or a map (1, n_classes + 1, R, C)"
+LOGITS_SHAPES = "(1, n_classes), or a map (1, n_classes + 1, R, C) or (1, n_classes + 3, R, C)"
 """The shapes of a network's answer, for messages."""
 
 
@@ -97,7 +98,9 @@ class ObjectReader:
 
     Parameters
     ----------
-    shape : (K + 1, R, C) of the maps: a channel for each class, then one for "no object here".
+    shape : (K + 1, R, C) of the maps: a channel for each class, then one for "no object here"; or
+        (K + 3, R, C), with two more for the sizes of objects.
+    n_classes : K; None: maps have no sizes.
     layout : only for an incremental network: where its map begins, and the strides of the map's
         rows, columns and channels, in numbers.
     sources : only for an incremental network: where in its program the records of the map's changes
@@ -106,19 +109,26 @@ class ObjectReader:
     Attributes
     ----------
     found, probabilities : the objects found last, see `kernels.decisions.objects`.
+    n_classes : K.
+    has_sizes : whether maps say how large objects are.
     """
 
     def __init__(
         self,
         shape: Shape,
+        n_classes: int | None = None,
         layout: tuple[int, int, int, int] | None = None,
         sources: Sequence[int] = (),
     ) -> None:
         self.shape = shape
-        channels, rows, columns = shape
+        self.n_classes = shape[0] - 1 if n_classes is None else n_classes
+        self.has_sizes = shape[0] == self.n_classes + 3
+        channels = self.n_classes + 1
+        _, rows, columns = shape
         about = np.zeros(K.ABOUT_SIZE + len(sources), np.int64)
         about[[K.FIRST, K.DY, K.DX, K.DK]] = layout or (0, columns, 1, rows * columns)
         about[[K.ROWS, K.COLUMNS, K.CHANNELS, K.N_SOURCES]] = rows, columns, channels, len(sources)
+        about[K.HAS_SIZES] = self.has_sizes
         about[K.ABOUT_SIZE :] = sources
         self.found = np.empty((most_objects(rows, columns), K.FOUND_SIZE))
         self.probabilities = np.empty((len(self.found), channels))
@@ -164,7 +174,7 @@ def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:
     """
     _, rows, columns = shape
     n_tracked = min(K.MOST_TRACKED, most_objects(rows, columns))
-    tracks = np.zeros((K.KNOWN + 2 * n_tracked, 4))
+    tracks = np.zeros((K.KNOWN + 2 * n_tracked, K.TRACK_SIZE))
     tracks[K.HEAD, K.MEMORY_US] = memory_us
     tracks[K.ON_SENSOR, [K.X0, K.DX_PX, K.Y0, K.DY_PX]] = places
     tracks[K.REACH, [K.REACH_X, K.REACH_Y]] = REACH * places.dx, REACH * places.dy

@@ -1,0 +1,326 @@
+"""Map models that say how large objects are: their boxes are those of the reference."""
+
+import os
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from deciding import key
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from made import random_events
+from tnt_reference import ObjectNumbers, box_overlap, boxes_on_map
+from torch import nn
+
+from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, load_model
+
+CONFIG = TNTConfig(
+    sensor=(70, 40),
+    grid=(70, 40),
+    representation="count",
+    polarity="split",
+    window_us=4000,
+)
+
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "30"))
+"""Number of random networks. ASYNC_TNT_FUZZ_CASES makes it a long run: it was 10,000 once."""
+
+
+def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, stride=2):
+    """A network of a few convolutions, a head of classes and one of sizes."""
+
+    class Net(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.stem = nn.Sequential(
+                nn.Conv2d(config.channels, channels, kernel, stride, kernel // 2),
+                nn.ReLU(),
+                nn.Conv2d(channels, channels, 3, padding=1),
+            )
+            self.logits = nn.Conv2d(channels, n_classes + 1, 1)
+            self.sizes = nn.Conv2d(channels, 2, 1)
+
+        def forward(self, volume):
+            x = torch.relu(self.stem(volume))
+            return torch.cat([self.logits(x), self.sizes(x)], 1)
+
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        net = Net()
+        with torch.no_grad():
+            net.logits.bias[-1] += 0.15
+            net.logits.weight.mul_(8)
+            net.sizes.weight.mul_(8)
+    return Model.from_torch(net, config, [f"class {k}" for k in range(n_classes)])
+
+
+def as_rows(objects):
+    return [(o.index, o.probability, o.x, o.y, o.width, o.height) for o in objects]
+
+
+def expected_rows(maps, places):
+    found = boxes_on_map(torch.from_numpy(maps), (places.dx, places.dy))
+    return [
+        (
+            o.label,
+            o.probability,
+            places.x0 + places.dx * o.column,
+            places.y0 + places.dy * o.row,
+            places.dx * o.width,
+            places.dy * o.height,
+        )
+        for o in found
+    ]
+
+
+def assert_rows(rows, expected):
+    """The order of equally likely objects may differ."""
+    assert len(rows) == len(expected)
+    left = np.array(expected)
+    for row in rows:
+        same = np.isclose(left, row, rtol=1e-9, atol=1e-9).all(1)
+        assert same.any(), row
+        left = np.delete(left, same.argmax(), 0)
+
+
+def test_boxes_by_hand():
+    """Two classes on 3 x 8 places of a sensor of 32 x 12: places are 4 pixels wide and high."""
+    maps = np.zeros((5, 3, 8), np.float32)
+    maps[2] = 1.0  # nothing
+    maps[0, 1, 1] = 4.0
+    maps[3, 1, 1] = np.log(2.0)
+    maps[4, 1, 1] = np.log(0.5)
+    maps[1, 1, 6] = 3.0
+    maps[3, 1, 6] = 99.0  # limited
+    maps[4, 1, 6] = -99.0
+    config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
+    decision = Processor(config, classifier=lambda volume: maps, classes=["a", "b"]).fire()
+    a, b = decision.objects
+    assert (a.label, a.x, a.y) == ("a", 5.5, 5.5)
+    assert (a.width, a.height) == pytest.approx((8.0, 2.0))
+    assert a.box == pytest.approx((1.5, 4.5, 9.5, 6.5))
+    assert a.to_dict()["box"] == [1.5, 4.5, 9.5, 6.5]
+    assert (b.width, b.height) == pytest.approx((4 * np.exp(10), 4 * np.exp(-10)))
+    assert decision.probabilities.shape == (2, 3)
+    without = Processor(config, classifier=lambda volume: maps[:3], classes=["a", "b"]).fire()
+    assert [thing.box for thing in without.objects] == [None, None]
+    assert "box" not in without.objects[0].to_dict()
+    assert [(o.x, o.y, o.id) for o in without.objects] == [(o.x, o.y, o.id) for o in (a, b)]
+
+
+@pytest.mark.parametrize(
+    "second, apart, n_listed",
+    [
+        # boxes of 4 x 4 places, whose middles are so many columns apart: (4 - d) / (4 + d) overlap
+        (0, 2, 2),
+        (0, 1, 1),
+        (1, 1, 2),
+    ],
+)
+def test_an_object_that_overlaps_a_likelier_one_of_its_class_is_left_out(second, apart, n_listed):
+    maps = np.zeros((5, 9, 9), np.float32)
+    maps[2] = 1.0
+    maps[3:] = np.log(4.0)
+    # a row between them, so that both are peaks; they are 2 rows apart
+    maps[0, 3, 3] = 5.0
+    maps[second, 3, 3 + 2 * apart] = 3.0
+    maps[3:, 3, :] = np.log(4.0 * 2)
+    config = CONFIG.replace(sensor=(36, 36), grid=(36, 36))
+    decision = Processor(config, classifier=lambda volume: maps, classes=["a", "b"]).fire()
+    overlap = box_overlap((0, 0), (8, 8), (2 * apart, 0), (8, 8))
+    assert (overlap > 0.5) is (apart == 1)
+    assert len(decision.objects) == n_listed
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("channel", [2, 3, 4])
+def test_sizes_that_are_not_finite_are_refused_until_they_are(wrong, channel):
+    maps = np.zeros((5, 4, 5), np.float32)
+    maps[channel, 0, 0] = wrong
+    maps[1, 2, 3] = 2.0
+    processor = Processor(CONFIG, classifier=lambda volume: maps, classes=["a", "b"])
+    with pytest.raises(ValueError, match="must return finite logits"):
+        processor.fire()
+    maps[channel, 0, 0] = 0.0
+    assert len(processor.fire().objects) == 1
+
+
+numbers = st.one_of(st.sampled_from([-1.0, 0.0, 0.5, 1.0, 2.0]), st.floats(-99.0, 99.0, width=32))
+
+
+@settings(max_examples=2 * settings.default.max_examples)
+@given(
+    st.tuples(st.integers(4, 6), st.integers(1, 9), st.sampled_from([2, 5, 66])).flatmap(
+        lambda shape: arrays(np.float32, shape, elements=numbers)
+    )
+)
+def test_boxes_of_any_map_are_those_of_the_reference(maps):
+    classes = [str(k) for k in range(len(maps) - 3)]
+    decision = Processor(CONFIG, classifier=lambda volume: maps, classes=classes).fire()
+    dy = 40 / maps.shape[1]
+    dx = 70 / maps.shape[2]
+    found = boxes_on_map(torch.from_numpy(maps), (dx, dy))
+    probabilities = [thing.probability for thing in decision.objects]
+    assert probabilities == sorted(probabilities, reverse=True)
+    if len({thing.probability for thing in found}) < len(found):
+        return  # which of two equally likely objects suppresses the other is not said
+    expected = [
+        (
+            o.label,
+            o.probability,
+            dx * (o.column + 0.5) - 0.5,
+            dy * (o.row + 0.5) - 0.5,
+            dx * o.width,
+            dy * o.height,
+        )
+        for o in found
+    ]
+    assert_rows(as_rows(decision.objects), expected)
+
+
+class Whole:
+    """A classifier that computes a model's whole map each time."""
+
+    def __init__(self, model):
+        self.places = model.places
+        self._dense = CompiledClassifier(model)
+
+    def __call__(self, volume):
+        return self._dense(volume)
+
+
+def assert_stream_equals_whole_maps(model, events, size):
+    """To the bit, and on each map those of the reference. Returns how many objects there were."""
+    processor = Processor(model, every_events=50)
+    whole = Processor(model.config, classifier=Whole(model), classes=model.classes, every_events=50)
+    expected = whole.push(events) + whole.finish()
+    decisions = []
+    for first in range(0, len(events), size):
+        decisions += processor.push(events[first : first + size])
+    decisions += processor.finish()
+    assert len(decisions) == len(expected)
+    n_found = 0
+    for ours, theirs in zip(decisions, expected, strict=True):
+        assert key(ours)[:5] == key(theirs)[:5]
+        assert ours.objects == theirs.objects
+        assert ours.probabilities.tobytes() == theirs.probabilities.tobytes()
+        assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
+        n_found += len(ours.objects)
+    return n_found
+
+
+@pytest.mark.parametrize("size", [1, 7, 300, 5000])
+def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
+    events = random_events(2500, seed=size, sensor=CONFIG.sensor, duration_us=9500)
+    assert assert_stream_equals_whole_maps(box_model(), events, size) > 150
+
+
+def test_random_networks():
+    n_found = 0
+    for seed in range(CASES):
+        rng = np.random.default_rng(seed)
+        sensor = (int(rng.integers(12, 90)), int(rng.integers(12, 60)))
+        slides = {"window_us": int(rng.integers(500, 5_000))}
+        if rng.random() < 0.5:
+            slides = {"last_us": int(rng.integers(500, 5_000))}
+        config = TNTConfig(
+            sensor=sensor,
+            grid=sensor,
+            representation="count",
+            polarity=str(rng.choice(["split", "unsigned"])),
+            **slides,
+        )
+        model = box_model(
+            config,
+            int(rng.integers(1, 6)),
+            seed,
+            channels=int(rng.choice([2, 4, 9])),
+            kernel=int(rng.choice([3, 5])),
+            stride=int(rng.choice([1, 2, 4])),
+        )
+        if len(model.logits_shape) < 3:
+            continue
+        n = int(rng.integers(1, 400))
+        events = random_events(n, seed=seed, sensor=sensor, duration_us=6_000)
+        size = int(rng.integers(1, 120))
+        n_found += assert_stream_equals_whole_maps(model, events, size)
+    assert n_found > 10 * CASES
+
+
+class Scene:
+    """A classifier whose map shows single places of one class, each with a score and a size."""
+
+    def __init__(self):
+        self.map = np.zeros((4, 300, 300), np.float32)
+
+    def __call__(self, volume):
+        return self.map
+
+    def show(self, rows, columns, scores, widths, heights):
+        self.map[0] = 0
+        self.map[1] = 1
+        self.map[0, rows, columns] = 1 + np.asarray(scores, np.float32)
+        self.map[2, rows, columns] = np.log(widths)
+        self.map[3, rows, columns] = np.log(heights)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_ids_follow_boxes_as_in_the_reference(seed):
+    """Few and many objects of all sizes, which move by more than points may, and after pauses."""
+    rng = np.random.default_rng(seed)
+    scene = Scene()
+    config = CONFIG.replace(sensor=(600, 300), grid=(600, 300), window_us=50_000)
+    processor = Processor(config, classifier=scene, classes=["a"], every_events=1)
+    numbers = ObjectNumbers((8.0, 4.0), memory_us=50_000, most=256, room=512)
+    still = rng.integers(0, 300, (2, 30))
+    sides = rng.uniform(1, 40, (2, 30))
+    t_us = 0
+    n_far = 0
+    for _ in range(100):
+        t_us += int(rng.choice([1, 3_000, 30_000, 200_000], p=[0.5, 0.4, 0.07, 0.03]))
+        n = int(rng.choice([0, 3, 40, 300]))
+        some = rng.random(still.shape[1]) < 0.8
+        rows, columns = np.concatenate(
+            [still[:, some] + rng.integers(-6, 7, (2, 1)), rng.integers(0, 300, (2, n))], 1
+        ).clip(0, 299)
+        widths, heights = np.concatenate([sides[:, some], rng.uniform(0.1, 20, (2, n))], 1)
+        scene.show(rows, columns, rng.uniform(0.5, 2.0, len(rows)), widths, heights)
+        for decision in processor.push(([t_us], [5], [5], [1])):
+            objects = decision.objects
+            before = {known.number: known for known in numbers.known}
+            expected = numbers.follow(
+                decision.time_us,
+                [(found.x, found.y) for found in objects],
+                [(found.width, found.height) for found in objects],
+            )
+            assert [found.id for found in objects] == expected
+            for found in objects:
+                known = before.get(found.id)
+                if known is not None:
+                    n_far += abs(known.x - found.x) > 8 or abs(known.y - found.y) > 4
+    assert n_far > 100  # points alone would have lost these
+
+
+def test_a_model_with_boxes_is_kept_in_a_file_copied_and_moved_to_another_sensor(tmp_path):
+    model = box_model()
+    assert model.logits_shape[0] == 6
+    loaded = load_model(model.save(tmp_path / "m.safetensors"))
+    larger = loaded.for_sensor((140, 40))
+    assert larger.logits_shape[0] == 6 and larger.places.dx == model.places.dx
+    events = random_events(900, sensor=CONFIG.sensor, duration_us=3_900)
+    expected = Processor(model)
+    expected.push(events)
+    found = Processor(loaded)
+    found.push(events[:400])
+    found = pickle.loads(pickle.dumps(found))
+    found.push(events[400:])
+    assert found.fire().objects == expected.fire().objects != ()
+
+
+def test_what_is_refused():
+    model = box_model()
+    with pytest.raises(ValueError, match="or of 5, with two more for the width and height of obj"):
+        replace(model, classes=("a", "b"))
