@@ -20,6 +20,7 @@ from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS_TEXT, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
+from async_tnt.evaluation.box_scores import CONVENTIONS
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Job, Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
@@ -106,6 +107,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="stream on the workers of a Dask cluster with its scheduler at this address (extra "
         "`cluster`)",
+    )
+    parser.add_argument(
+        "--boxes",
+        choices=tuple(CONVENTIONS),
+        default="all",
+        help="boxes that count in COCO's scores (extra `boxes`) of a model that says sizes: all, "
+        "or as Gen1 and 1Mpx have it, without the first half second and without boxes smaller "
+        "than 10 (20) pixels or with a diagonal below 30 (60) (default: all)",
     )
     parser.add_argument(
         "--strict", action="store_true", help="exit code 2 if any recording was skipped"

@@ -13,7 +13,8 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.cli.output import complain, say
-from async_tnt.evaluation.object_scores import ObjectScores, score_recording
+from async_tnt.evaluation.box_scores import CONVENTIONS, FoundBoxes
+from async_tnt.evaluation.object_scores import SHARES, ObjectScores, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, find_tables, read_table
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
@@ -34,6 +35,8 @@ class _Totals:
     n_off_sensor : number of objects in the tables whose middle is off the sensor.
     unknown : class that the model does not know -> number of its objects in the tables.
     skipped : for each recording that cannot be read, the error.
+    boxes : share of a window -> the boxes of the tables and those found after this share; empty if
+        the model says no sizes.
     """
 
     scores: dict[float, ObjectScores] = field(default_factory=dict)
@@ -41,6 +44,7 @@ class _Totals:
     n_off_sensor: int = 0
     unknown: Counter[str] = field(default_factory=Counter)
     skipped: list[str] = field(default_factory=list)
+    boxes: dict[float, FoundBoxes] = field(default_factory=dict)
 
     def add(self, scores: dict[float, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
         """Add the scores and the table of one recording."""
@@ -72,6 +76,8 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
 
     tables = find_tables(args.dataset)
     totals = _Totals()
+    if model.has_sizes:
+        totals.boxes = {share: FoundBoxes(CONVENTIONS[args.boxes]) for share in SHARES}
     with progress(len(tables), "recordings") as bar:
         for path, table in tables:
             try:
@@ -124,7 +130,8 @@ def _score(
     check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     if recording.sensor is None:
         raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
-    scores = score_recording(model.for_sensor(recording.sensor), recording, table)
+    fitting = model.for_sensor(recording.sensor)
+    scores = score_recording(fitting, recording, table, totals.boxes or None)
     totals.add(scores, table, recording.sensor)
 
 
@@ -138,12 +145,29 @@ def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, An
     return {
         **after_whole_window.to_dict(model.classes),
         "f1_against_time_ms": f1_against_time,
+        **_box_scores(totals, model),
         "recordings": n_recordings,
         "moments": totals.n_moments,
         "unknown_classes": totals.unknown,
         "off_sensor": totals.n_off_sensor,
         "skipped": totals.skipped,
     }
+
+
+def _box_scores(totals: _Totals, model: Model) -> dict[str, Any]:
+    """COCO's scores after each share of a window, and why there are none, if there are none."""
+    if not totals.boxes:
+        return {"coco": None, "no_coco": "the model says no sizes"}
+    if not totals.boxes[1.0].n_present:
+        return {"coco": None, "no_coco": "the tables have no boxes that count"}
+    try:
+        by_time = {
+            f"{share * model.config.window_us / 1e3:g}": boxes.scores(model.classes)
+            for share, boxes in totals.boxes.items()
+        }
+    except ImportError as error:
+        return {"coco": None, "no_coco": str(error)}
+    return {"coco": list(by_time.values())[-1], "coco_against_time_ms": by_time}
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
@@ -160,4 +184,12 @@ def _lines(report: dict[str, Any]) -> list[str]:
             f"{name:<24} {row['f1']:>8.3f} {row['objects']:>9} {row['found']:>9} {row['right']:>9}"
         )
     lines += ["", f"{'ms into the window':<24} {'F1':>8}"]
-    return lines + [f"{ms:<24} {f1:>8.3f}" for ms, f1 in report["f1_against_time_ms"].items()]
+    lines += [f"{ms:<24} {f1:>8.3f}" for ms, f1 in report["f1_against_time_ms"].items()]
+    if report["coco"] is None:
+        return [*lines, "", f"no scores of boxes: {report['no_coco']}"]
+    heads = ("mAP", "mAP .5", "mAP .75", "small", "medium", "large")
+    lines += ["", f"{'ms into the window':<24} " + " ".join(f"{head:>8}" for head in heads)]
+    for ms, scores in report["coco_against_time_ms"].items():
+        cells = ["-" if score is None else f"{score:.3f}" for score in scores.values()]
+        lines.append(f"{ms:<24} " + " ".join(f"{cell:>8}" for cell in cells))
+    return lines

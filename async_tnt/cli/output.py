@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from async_tnt.base.checks import ParameterError
 from async_tnt.base.messages import printable
-from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.decision import Decision, Object
 from async_tnt.streaming.output import Output
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class DecisionLines:
         else:
             answer = f"{decision.label or '-':<8} {decision.probability:>5.3f} "
             objects = "".join(
-                f"  {item.id}: {item.label} ({item.x:.0f}, {item.y:.0f})"
+                f"  {item.id}: {item.label} ({item.x:.0f}, {item.y:.0f}{_size_of(item)})"
                 for item in decision.objects or ()
             )
             ending = f"{decision.trigger}{objects}"
@@ -206,3 +206,10 @@ class DecisionLines:
             fields["backlog"] = queue.backlog
             fields["n_skipped"] = queue.n_skipped
         return json.dumps(fields)
+
+
+def _size_of(item: Object) -> str:
+    """The size of an object's box, as text behind its place; empty without a box."""
+    if item.width is None or item.height is None:
+        return ""
+    return f", {item.width:.0f} x {item.height:.0f}"

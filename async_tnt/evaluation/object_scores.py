@@ -7,12 +7,13 @@ Precision: of the objects that the model finds, the share that is really there.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from async_tnt.evaluation.box_scores import FoundBoxes
 from async_tnt.evaluation.object_tables import ObjectTable
 from async_tnt.kernels.decisions.objects import CLASS, FOUND_SIZE, X, Y
 from async_tnt.networks.models.model import Model
@@ -138,7 +139,10 @@ def _counts(classes: np.ndarray, n_classes: int) -> np.ndarray:
 
 
 def score_recording(
-    model: Model, recording: Recording, table: ObjectTable
+    model: Model,
+    recording: Recording,
+    table: ObjectTable,
+    boxes: Mapping[float, FoundBoxes] | None = None,
 ) -> dict[float, ObjectScores]:
     """Score the objects that a model finds in a recording, after each of `SHARES` of a window.
 
@@ -148,6 +152,8 @@ def score_recording(
     Parameters
     ----------
     model : a map model, for the recording's sensor.
+    boxes : share of a window -> the boxes at all moments so far, to which those of this recording
+        are added; None: boxes are not kept.
 
     Returns
     -------
@@ -174,8 +180,11 @@ def score_recording(
         parts = np.split(events, stops)[:-1]
         for share, part in zip(SHARES, parts, strict=True):
             processor.push(part)
+            found = _objects_of(processor)
+            if boxes is not None:
+                boxes[share].add(table, rows, found)
             scores[share] += score_objects(
-                _objects_of(processor),
+                found,
                 table.label[rows],
                 table.middle[rows],
                 table.reach[rows],

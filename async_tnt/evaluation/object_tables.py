@@ -50,6 +50,7 @@ class ObjectTable:
     label : int64, (N,): the object's class, as an index of the model's classes.
     middle : float64, (N, 2): (x, y) of the object's middle, in sensor pixels.
     reach : float64, (N, 2): how far from the middle, in x and in y, the object counts as found.
+    size : float64, (N, 2): the (width, height) of the object's box, or (0, 0) for a point.
     unknown : class that the model does not know -> number of its rows, which are left out.
     """
 
@@ -57,6 +58,7 @@ class ObjectTable:
     label: np.ndarray
     middle: np.ndarray
     reach: np.ndarray
+    size: np.ndarray
     unknown: Mapping[str, int]
 
     def moments(self) -> Iterator[tuple[int, slice]]:
@@ -147,7 +149,8 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     # a box reaches half a pixel at least
     reach = np.where(is_point, POINT_REACH_PX, np.maximum(size / 2, 0.5))
     n_rows_of = {str(name): int(n) for name, n in zip(unknown_classes, row_counts, strict=True)}
-    return ObjectTable(rows.t[indices], label[indices], corner + size / 2, reach, n_rows_of)
+    middle = corner + size / 2
+    return ObjectTable(rows.t[indices], label[indices], middle, reach, size, n_rows_of)
 
 
 def _read_csv(path: Path) -> _Rows:

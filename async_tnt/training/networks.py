@@ -1,7 +1,8 @@
 """Networks to train: a few that suit small sensors and small machines, or the user's own.
 
 Each network is a torch module from volumes (N, C, H, W) to logits (N, n_classes). Only the network
-`map` computes maps of logits, (N, n_classes + 1, R, C). All layers have a compiled form.
+`map` computes maps, (N, n_classes + 3, R, C): logits of classes and of nothing, and sizes of
+objects. All layers have a compiled form.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network that computes a map of logits: a channel for each class, and the last for nothing.
+    """A network that computes a map: a channel for each class, one for nothing, and two for sizes.
 
     The map has a place for every 4x4 cells of the grid. A place sees about 40x40 cells. The first
     layers have the most channels, because there an event changes few places.
@@ -119,7 +120,7 @@ def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Modul
         *_conv(64, 64),
         *_conv(64, 48),
         *_conv(48, 32),
-        nn.Conv2d(32, n_classes + 1, 1),
+        nn.Conv2d(32, n_classes + 3, 1),
     )
 
 

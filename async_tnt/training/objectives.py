@@ -162,7 +162,7 @@ class SceneScores:
         assert model.places is not None
         self._classes = model.classes
         self._maker = SceneMaker(crops)
-        self._reader = ObjectReader(model.logits_shape)
+        self._reader = ObjectReader(model.logits_shape, len(model.classes))
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
         chosen = np.random.default_rng(0).permutation(len(windows))[: round(N_SCENES * OBJECTS)]
         self._windows = windows[chosen]
@@ -173,7 +173,7 @@ class SceneScores:
         rng = np.random.default_rng(1)  # the same scenes at each call
         was_training = pipeline.training
         pipeline.eval()
-        n_classes = self._reader.shape[0] - 1  # the last channel of a map is for nothing
+        n_classes = len(self._classes)
         scores = ObjectScores(*np.zeros((3, n_classes), np.int64))
         for first in range(0, len(self._windows), BATCH):
             windows = self._windows[first : first + BATCH]
@@ -217,10 +217,17 @@ any distance. Between `REACH` and `LEFT_OUT`, the place has no target and weight
 OBJECT_WEIGHT = 4.0
 """Weight in the loss of a place whose target is a class. A place whose target is nothing has weight
 1."""
+LEAST_SIZE_PX = 1.0
+"""The least width and height of an object from which the size is learned."""
+SIZE_WEIGHT = 0.1
+"""Weight of the mean loss of sizes, beside the mean loss of classes."""
 
 
 class ObjectsInScenes:
     """The objective of a map model: the cross-entropy at each place of the maps of scenes.
+
+    If maps have two channels for sizes, their loss is added: at places whose target is a class, the
+    smooth absolute difference from the logarithms of the object's width and height, in places.
 
     Parameters
     ----------
@@ -250,10 +257,14 @@ class ObjectsInScenes:
         model = Model.from_torch(network, self.config, classes)
         if model.places is None:
             raise ParameterValueError(
-                "network", f"{settings.network} must compute a map of {len(classes) + 1} channels"
+                "network",
+                f"{settings.network} must compute a map of {len(classes) + 1} channels, or of "
+                f"{len(classes) + 3} with the sizes of objects",
             )
         self._places = model.places
         self._map_shape = model.logits_shape
+        self._nothing = len(classes)  # its channel
+        self._has_sizes = model.logits_shape[0] == len(classes) + 3
         self._shorter = min(config.sensor)
         self._scorer = SceneScores(config, model, validation) if len(validation) else None
 
@@ -267,34 +278,42 @@ class ObjectsInScenes:
         else:
             rng = np.random.default_rng(draws.seed[:1])
         scenes = self._maker(windows, draws, rng)
-        logits = pipeline.classify(torch.from_numpy(scenes.volumes))
-        targets, weights = self._targets(scenes)
+        maps = pipeline.classify(torch.from_numpy(scenes.volumes))
+        logits = maps[:, : self._nothing + 1]
+        targets, weights, sizes = self._targets(scenes)
         target = torch.from_numpy(targets)
         weight = torch.from_numpy(weights).to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
-        nothing = self._map_shape[0] - 1  # the last channel
-        is_object = target < nothing
+        is_object = target < self._nothing
         is_right = logits.detach().argmax(1).cpu() == target
-        return BatchLoss(
-            (losses * weight).sum() / weight.sum(),
-            int(is_right[is_object].sum()),
-            int(is_object.sum()),
-        )
+        loss = (losses * weight).sum() / weight.sum()
+        if self._has_sizes and is_object.any():
+            places = is_object.to(logits.device)
+            found = maps[:, -2:].movedim(1, -1)[places]  # (objects' places, 2)
+            wanted = torch.from_numpy(sizes).to(logits.device)[places]
+            loss = loss + SIZE_WEIGHT * F.smooth_l1_loss(found, wanted, beta=0.1)
+        return BatchLoss(loss, int(is_right[is_object].sum()), int(is_object.sum()))
 
-    def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
-        """Target and weight of each place of M maps, int64 and float32, (M, R, C).
+    def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Target and weight of each place of M maps, int64 and float32, (M, R, C), and sizes.
 
-        M is the number of scenes. See `LEFT_OUT` and `OBJECT_WEIGHT`.
+        M is the number of scenes. See `LEFT_OUT` and `OBJECT_WEIGHT`. Sizes are the logarithms of
+        the width and height, in places, of the object that a place is about: float32,
+        (M, R, C, 2).
         """
-        n_channels, rows, columns = self._map_shape
-        nothing = n_channels - 1
+        _, rows, columns = self._map_shape
+        nothing = self._nothing
         shape = len(scenes.volumes), rows, columns
         target = np.full(shape, nothing, np.int64)
         weight = np.ones(shape, np.float32)
+        sizes = np.zeros((*shape, 2), np.float32)
         nearest = np.full(shape, np.inf)  # the distance from each place to the nearest object
         # place (row, column) of a map is at (x0 + dx column, y0 + dy row), in sensor pixels
         x0, dx, y0, dy = self._places
-        for scene, label, (x, y) in zip(scenes.scene, scenes.label, scenes.position, strict=True):
+        log_sizes = np.log(np.maximum(scenes.size, LEAST_SIZE_PX) / (dx, dy))
+        for scene, label, (x, y), log_size in zip(
+            scenes.scene, scenes.label, scenes.position, log_sizes, strict=True
+        ):
             distance_x = np.abs(x0 + dx * np.arange(columns) - x)
             distance_y = np.abs(y0 + dy * np.arange(rows) - y)
             distance = np.maximum(distance_y[:, None], distance_x)  # (R, C)
@@ -303,10 +322,12 @@ class ObjectsInScenes:
             distance[row, column] = 0.0
             is_nearer = distance < nearest[scene]
             nearest[scene][is_nearer] = distance[is_nearer]
-            target[scene][is_nearer & (distance <= REACH * self._shorter)] = label
+            is_target = is_nearer & (distance <= REACH * self._shorter)
+            target[scene][is_target] = label
+            sizes[scene][is_target] = log_size
         weight[nearest <= LEFT_OUT * self._shorter] = 0.0
         weight[target < nothing] = OBJECT_WEIGHT
-        return target, weight
+        return target, weight, sizes
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
         """F1 in held-out scenes, for the history; empty if nothing is held out."""

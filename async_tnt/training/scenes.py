@@ -53,8 +53,8 @@ HOT_EVENTS = (20, 300)
 MOST_NOISE = 100_000
 """Most noise events of a scene. On a large sensor, more of them would take longer than all else."""
 OUTER = (2, 98)
-"""Percentiles of the x and of the y of an object's events. The middle of the object is halfway
-between them, so that noise farther out does not move it."""
+"""Percentiles of the x and of the y of an object's events. They are the sides of the object's box,
+so that noise farther out does not change it. The middle of the object is halfway between them."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,14 @@ class Scenes:
     volumes : float32, (M, C, H, W).
     scene, label : int64, (K,). The number of each object's scene, and the object's class.
     position : float64, (K, 2). The middle of each object, (x, y) in sensor pixels.
+    size : float64, (K, 2). The width and height of each object's box, in sensor pixels.
     """
 
     volumes: np.ndarray
     scene: np.ndarray
     label: np.ndarray
     position: np.ndarray
+    size: np.ndarray
 
 
 class SceneMaker:
@@ -134,9 +136,12 @@ class SceneMaker:
         # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
         # `fine` times finer than the recording's.
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
-        recorded_middles = _middles(windows, until_us[scene] - later_us)
+        recorded_middles, recorded_sizes = _boxes(windows, until_us[scene] - later_us)
         middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded_middles)
         middles = (middles + draws.matrix[:, :, 2]) / fine
+        # the box around a box that is turned and sheared
+        turned = np.abs(draws.matrix[:, :, :2])
+        sizes = np.einsum("nij,nj->ni", turned, recorded_sizes) / fine
 
         volumes = self._noise(n_scenes, until_us, rng)
         position = np.full((n, 2), np.inf)  # inf: the window is not in a scene
@@ -146,7 +151,13 @@ class SceneMaker:
             if place is not None:
                 position[i] = self._add(volumes[scene[i]], crops[i], middles[i], place)
         is_object &= np.isfinite(position[:, 0])
-        return Scenes(volumes, scene[is_object], windows.labels[is_object], position[is_object])
+        return Scenes(
+            volumes,
+            scene[is_object],
+            windows.labels[is_object],
+            position[is_object],
+            sizes[is_object],
+        )
 
     def _place(self, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
         """A place for one more object, (x, y) in sensor pixels; None if `TRIES` places do not fit.
@@ -222,8 +233,10 @@ class SceneMaker:
         return self._scene_volumes(windows).copy()
 
 
-def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
-    """The middle (x, y) of each window's object: float64, (N, 2); (0, 0) without any event.
+def _boxes(windows: Windows, until_us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The middle (x, y) and the size (width, height) of each window's object: float64, (N, 2) each.
+
+    The middle is (0, 0) and the size (1, 1) without any event. A single pixel has the size (1, 1).
 
     Parameters
     ----------
@@ -231,10 +244,13 @@ def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
     until_us : int64, (N,), in microseconds since a window's start. Only earlier events count.
     """
     middles = np.zeros((len(windows), 2))
+    sizes = np.ones((len(windows), 2))
     recordings = windows.recordings
     for i, (first, end) in enumerate(itertools.pairwise(recordings.offsets)):
         last = first + np.searchsorted(recordings.t[first:end], until_us[i])
         if first < last:
             x_and_y = recordings.x[first:last], recordings.y[first:last]
-            middles[i] = np.percentile(x_and_y, OUTER, axis=1).mean(axis=0)
-    return middles
+            sides = np.percentile(x_and_y, OUTER, axis=1)  # (2, 2): lower and upper x and y
+            middles[i] = sides.mean(axis=0)
+            sizes[i] += sides[1] - sides[0]
+    return middles, sizes

@@ -98,8 +98,12 @@ def draw_objects(
 
 
 def _draw_object(axes: Any, item: Object, *, words_left: bool) -> None:
-    """Draw a circle around an object, with class and probability beside it."""
-    axes.plot(item.x, item.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
+    """Draw an object's box, or a circle without one, with class and probability beside it."""
+    if item.box is None:
+        axes.plot(item.x, item.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
+    else:
+        x0, y0, x1, y1 = item.box
+        axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], "-", color=TEXT, lw=0.9)
     for text, points_up, size in ((item.label, 7, 13), (f"{item.probability:.2f}", -4, 7)):
         axes.annotate(
             text,

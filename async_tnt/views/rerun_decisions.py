@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.decision import Decision, Object
 from async_tnt.streaming.processor import Processor
-from async_tnt.views.rerun_log import plain, points_at
+from async_tnt.views.rerun_log import boxes_at, plain, points_at
 
 # the names under which data is logged
 OBJECTS = "events/objects"
@@ -36,6 +36,7 @@ class DecisionLog:
         self._stream = stream
         self._processor = processor
         self._classes: tuple[str, ...] = ()
+        self._has_boxes = False  # whether boxes were logged
 
     def panels(self, time_ranges: Any) -> tuple[list[Any], list[Any]]:
         """The class in the upper row, the probabilities and the decisions in the lower row."""
@@ -72,13 +73,26 @@ class DecisionLog:
         rr = self._rr
         self._name_classes()
         if decision.objects is not None:
-            places = [(item.x, item.y) for item in decision.objects]
-            labels = [f"{item.label} {item.probability:.2f}" for item in decision.objects]
-            self._stream.log(OBJECTS, points_at(rr, places, 6.0, labels))
+            self._log_objects(decision.objects)
         description = class_text(decision, self._classes)
         self._stream.log(CLASS, rr.TextDocument(description, media_type=rr.MediaType.MARKDOWN))
         if decision.events:
             self._log_probabilities(decision)
+
+    def _log_objects(self, objects: Sequence[Object]) -> None:
+        """Log the objects of the open window: their boxes, or points if the model says no sizes."""
+        rr = self._rr
+        boxes = [item.box for item in objects if item.box is not None]
+        if boxes:
+            self._has_boxes = True
+            names = [f"{item.id}: {item.label} {item.probability:.2f}" for item in objects]
+            self._stream.log(OBJECTS, boxes_at(rr, boxes, names))
+        elif self._has_boxes:  # there are none now
+            self._stream.log(OBJECTS, boxes_at(rr, [], []))
+        else:
+            places = [(item.x, item.y) for item in objects]
+            labels = [f"{item.label} {item.probability:.2f}" for item in objects]
+            self._stream.log(OBJECTS, points_at(rr, places, 6.0, labels))
 
     def _name_classes(self) -> None:
         """Log the names of the classes, once they are known."""
@@ -114,6 +128,8 @@ def class_text(decision: Decision, classes: Sequence[str]) -> str:
         lines += ["| number | class | probability | place |", "|---|---|---|---|"]
         for item in decision.objects:
             place = f"{item.x:.0f}, {item.y:.0f}"
+            if item.box is not None:
+                place += f", {item.width:.0f} x {item.height:.0f}"
             lines.append(f"| {item.id} | {plain(item.label)} | {item.probability:.3f} | {place} |")
         return "\n".join(lines) + "\n"
 

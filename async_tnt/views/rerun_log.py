@@ -186,6 +186,17 @@ def points_at(
     return rr.Points2D(centres, radii=radius, labels=labels, colors=[WHITE], draw_order=100.0)
 
 
+def boxes_at(
+    rr: Any, boxes: Sequence[tuple[float, float, float, float]], labels: Sequence[str]
+) -> Any:
+    """White boxes (x0, y0, x1, y1), in sensor pixels."""
+    sides = np.array(boxes).reshape(-1, 4) + 0.5  # see `points_at`
+    sizes = sides[:, 2:] - sides[:, :2]
+    return rr.Boxes2D(
+        mins=sides[:, :2], sizes=sizes, labels=labels, colors=[WHITE], draw_order=100.0
+    )
+
+
 def plain(text: str) -> str:
     """Markdown that shows the text as it is, on one line."""
     on_one_line = " ".join(text.split())

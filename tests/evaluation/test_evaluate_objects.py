@@ -418,6 +418,7 @@ def test_memory_does_not_grow_with_the_time_between_moments(saved):
         label=np.array([0]),
         middle=np.array([[1.0, 1.0]]),
         reach=np.array([[5.0, 5.0]]),
+        size=np.zeros((1, 2)),
         unknown={},
     )
     scores = score_recording(load_model(saved), Packets(), table)
@@ -446,6 +447,7 @@ def test_memory_does_not_grow_with_the_number_of_moments(saved):
         label=np.zeros(n_packets, int),
         middle=np.ones((n_packets, 2)),
         reach=np.full((n_packets, 2), 5.0),
+        size=np.zeros((n_packets, 2)),
         unknown={},
     )
     tracemalloc.start()

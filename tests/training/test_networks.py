@@ -137,7 +137,7 @@ def test_the_first_two_are_the_references_with_the_same_initial_weights():
 def test_the_smallest_grid(name):
     side = NETWORKS[name][1]
     assert build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side)).shape == (
-        (1, 4, 2, 2) if name == "map" else (1, 3)
+        (1, 6, 2, 2) if name == "map" else (1, 3)
     )
     message = rf"^network '{name}' needs a grid of at least {side}x{side}, got \(40, {side - 1}\)$"
     with pytest.raises(ValueError, match=message):

@@ -1,6 +1,7 @@
 """Scenes of several recordings, and map models that learn from them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.scenes import SceneMaker, Scenes
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import Windows
+from async_tnt.training.windows import Windows, make_windows
 
 CONFIG = TNTConfig(
     sensor=(20, 16),
@@ -182,7 +183,11 @@ def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
         CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
     )
     scenes = Scenes(
-        np.zeros((1, 6, 48, 60)), np.array([0]), np.array([2]), np.array([[20.0, 20.0]])
+        np.zeros((1, 6, 48, 60)),
+        np.array([0]),
+        np.array([2]),
+        np.array([[20.0, 20.0]]),
+        np.array([[9.0, 5.0]]),
     )
     assert objects._targets(scenes)[0].tolist() == [[[3, 3, 3], [3, 2, 3], [3, 3, 3]]]
 
@@ -202,14 +207,20 @@ def test_the_places_near_an_object_name_its_class_and_those_around_it_nothing_at
         np.array([1, 1]),
         np.array([2, 0]),
         np.array([[20.0, 20.0], [23.0, 20.0]]),
+        np.array([[9.0, 5.0], [0.2, 4.0]]),
     )
-    target, weight = objects._targets(scenes)
+    target, weight, sizes = objects._targets(scenes)
     assert (target[0] == 3).all() and (weight[0] == 1).all()
     assert target[1, 20, 16:28].tolist() == [3, 3, 2, 2, 2, 2, 0, 0, 0, 0, 3, 3]
     assert weight[1, 20, 16:28].tolist() == [1, 0, 4, 4, 4, 4, 4, 4, 4, 4, 0, 1]
     assert target[1, 16:25, 20].tolist() == [3, 3, 2, 2, 2, 2, 2, 3, 3]
     assert weight[1, 16:25, 20].tolist() == [1, 0, 4, 4, 4, 4, 4, 0, 1]
     assert (weight[1] == 4).sum() == 5 * 8 and (weight[1] == 0).sum() == 7 * 10 - 5 * 8
+    # the logarithms of width and height in places, of at least a pixel
+    shown = sizes[1][target[1] == 2]
+    np.testing.assert_allclose(shown, np.tile(np.log([9.0, 5.0]), (len(shown), 1)), rtol=1e-6)
+    shown = sizes[1][target[1] == 0]
+    np.testing.assert_allclose(shown, np.tile(np.log([1.0, 4.0]), (len(shown), 1)), atol=1e-6)
 
 
 def test_the_loss_of_scenes_is_a_weighted_mean_over_places(monkeypatch):
@@ -229,13 +240,61 @@ def test_the_loss_of_scenes_is_a_weighted_mean_over_places(monkeypatch):
     draws = unchanged(9, CONFIG)
     draws.seed[:] = 3
     found = objects.loss(Pipeline(CONFIG, net), windows, draws)
-    ((target, weight),) = seen
+    ((target, weight, _),) = seen
     logits = np.array([0.5, 2.0, -1.0, 1.0])
     losses = np.log(np.exp(logits).sum()) - logits
     assert set(np.unique(target)) == {0, 1, 2, 3} and set(np.unique(weight)) == {0, 1, 4}
     expected = (losses[target] * weight).sum() / weight.sum()
     assert found.loss.item() == pytest.approx(expected, rel=1e-5)
     assert found.n == (target < 3).sum() and found.n_right == (target == 1).sum()
+
+
+def test_the_loss_of_sizes_is_a_mean_over_the_places_of_objects(monkeypatch):
+    """A network that says 4 x 2 places everywhere."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 6, 1))
+    logits = [0.5, 2.0, -1.0, 1.0]
+    with torch.no_grad():
+        net[0].weight.zero_()
+        net[0].bias.copy_(torch.tensor([*logits, np.log(4.0), np.log(2.0)]))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(9)
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    seen = []
+    targets_of = objects._targets
+    monkeypatch.setattr(objects, "_targets", lambda some: seen.append(targets_of(some)) or seen[-1])
+    found = objects.loss(Pipeline(CONFIG, net), windows, unchanged(9, CONFIG))
+    ((target, weight, sizes),) = seen
+    losses = np.log(np.exp(logits).sum()) - np.array(logits)
+    of_classes = (losses[target] * weight).sum() / weight.sum()
+    away = np.abs(np.log([4.0, 2.0]) - sizes[target < 3])
+    of_sizes = np.where(away < 0.1, away**2 / 0.2, away - 0.05).mean()
+    expected = of_classes + objectives.SIZE_WEIGHT * of_sizes
+    assert found.loss.item() == pytest.approx(expected, rel=1e-5)
+    assert sizes[target < 3].max() > 1.0  # objects are several pixels large
+
+
+def test_a_box_is_that_of_most_of_an_objects_events():
+    """An event far away does not change it. Augmentation turns and scales it."""
+    rng = np.random.default_rng(0)
+    x = np.concatenate([rng.integers(5, 12, 400), [19]])
+    y = np.concatenate([rng.integers(3, 7, 400), [15]])
+    events = events_of(np.arange(401), x, y, np.ones(401, int))
+    windows = make_windows(Recordings.from_events([events], [0]), 1000)
+    middles, sizes = module._boxes(windows, np.array([1000]))
+    assert middles.tolist() == [[8.0, 4.5]] and sizes.tolist() == [[7.0, 4.0]]
+    middles, sizes = module._boxes(windows, np.array([0]))
+    assert middles.tolist() == [[0.0, 0.0]] and sizes.tolist() == [[1.0, 1.0]]
+
+    maker = SceneMaker(CONFIG)
+    draws = unchanged(1, CONFIG)
+    scenes = maker(windows, draws, np.random.default_rng(0))
+    assert scenes.size.tolist() == [[7.0, 4.0]]
+    draws.matrix[0, :, :2] = [[0.0, -2.0], [1.5, 0.0]]  # turned by 90 degrees
+    draws.matrix[0, :, 2] = [16.0, 0.0]
+    scenes = maker(windows, draws, np.random.default_rng(0))
+    assert scenes.size.tolist() == [[8.0, 10.5]]
 
 
 def test_the_noise_of_a_scene_is_everywhere_in_its_time_and_a_hot_pixel_is_one(monkeypatch):
@@ -336,11 +395,17 @@ def test_run_prints_objects_and_other_commands_refuse_them(finder, program, tmp_
     path = tmp_path / "scene.npz"
     np.savez(path, events=events, sensor=np.array((150, 100)))  # another sensor than the scenes'
     code, out, err = program("run", path, "--model", finder)
-    assert (code, err) == (0, "") and "flat (4" in out.splitlines()[-1]
+    assert (code, err) == (0, "")
+    assert re.search(r"flat \(4\d, \d+, \d+ x \d+\)", out.splitlines()[-1])
     code, out, _ = program("run", path, "--model", finder, "--json")
     (decision,) = map(json.loads, out.splitlines())
     assert code == 0 and decision["label"] == "flat" and decision["objects"][0]["label"] == "flat"
-    assert set(decision["objects"][0]) == {"id", "label", "probability", "x", "y"}
+    (found,) = decision["objects"]
+    assert set(found) == {"id", "label", "probability", "x", "y", "box"}
+    x0, y0, x1, y1 = found["box"]
+    # the bar is about 22 pixels long and 4 high
+    assert 14 < x1 - x0 < 45 and 3 < y1 - y0 < 20  # after a short training
+    assert (x0 + x1) / 2 == pytest.approx(found["x"], abs=0.01)
     pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
     assert program("plot", path, "--model", finder, "--out", tmp_path / "a.svg")[0] == 0
     drawn = (tmp_path / "a.svg").read_text()

@@ -123,6 +123,18 @@ def test_a_panel_has_no_events_of_earlier_windows():
     assert panels(figure)[0][:4] == ("11 ms", [(6, 4)], [(6, 4)], [(6, 4)])
 
 
+def test_an_object_with_a_size_has_a_box():
+    net = torch.nn.Conv2d(1, 4, 1)
+    with torch.no_grad():
+        net.weight[:, 0, 0, 0] = torch.tensor([2.0, 0.0, 0.0, 0.0])
+        net.bias[:] = torch.tensor([0.0, 3.0, np.log(6.0), np.log(2.0)])
+    model = Model.from_torch(net, CONFIG, ["pair"])
+    subject = Subject("a.npz", two_windows(50), CONFIG, model, "finder")
+    axes = draw_window_objects(subject.window(1), subject.model).axes[0]
+    (box,) = [line for line in axes.lines if len(line.get_xdata()) == 5 and line.get_ls() == "-"]
+    np.testing.assert_allclose(box.get_xydata(), [(2, 3), (8, 3), (8, 5), (2, 5), (2, 3)])
+
+
 def test_words_of_an_object_at_the_right_stand_left_of_it():
     """So that they stay inside."""
     events = events_of([0, 1, 2, 3], [3, 3, 38, 38], [4, 4, 12, 12], [1, 0, 1, 0])

@@ -312,6 +312,27 @@ def test_objects_are_shown_where_they_are_until_they_are_gone(tmp_path):
     assert lines[-1].startswith("nothing  0.000  end: 2 events, ")
 
 
+def test_objects_with_sizes_are_boxes_until_they_are_gone(tmp_path):
+    one = np.zeros((5, 3, 4), np.float32)
+    one[2] = 1.0  # nothing
+    one[0, 0, 3] = 4.0
+    one[3] = np.log(0.8)  # 8 pixels wide
+    one[4] = np.log(0.4)
+    none = np.zeros((5, 3, 4), np.float32)
+    none[2] = 1.0
+    rrd = show_objects(tmp_path, [one, none])
+    centres = rrd.series(decisions_log.OBJECTS, "Boxes2D:centers")
+    half_sizes = rrd.series(decisions_log.OBJECTS, "Boxes2D:half_sizes")
+    (_, labels) = rrd.series(decisions_log.OBJECTS, "Boxes2D:labels")[0]
+    assert centres[0][1] == [pytest.approx([35, 5])]
+    assert half_sizes[0][1] == [pytest.approx([4, 2])]
+    assert [label[:4] for label in labels] == ["0: a"]
+    assert centres[-1][1] == []
+    assert rrd.series(decisions_log.OBJECTS, "Points2D:positions") == []
+    texts = [text for _, (text,) in rrd.series(decisions_log.CLASS, "TextDocument:text")]
+    assert any("8 x 4" in text for text in texts)
+
+
 def test_a_window_without_events_has_neither_landmark_nor_probabilities(tmp_path):
     """After the first event, which is enough for a decision, the next window begins."""
     events = events_of([0, 30_000], [5, 6], [5, 5], [1, 0])

@@ -314,6 +314,11 @@ class Model:
         return {name: shapes[layer] for name, layer in self.outputs.items()}
 
     @property
+    def has_sizes(self) -> bool:
+        """Whether a map model says how large objects are, by two channels of its map."""
+        return self.places is not None and self.logits_shape[0] == len(self.classes) + 3
+
+    @property
     def places(self) -> Places | None:
         """Where on the sensor the places of a map model's map lie; None for other models."""
         if self.outputs or self.logits_shape[0] == len(self.classes):

@@ -1,0 +1,146 @@
+"""COCO's mean average precision of boxes that a map model finds, by pycocotools (extra `boxes`).
+
+References
+----------
+- Lin et al. 2014, Microsoft COCO: common objects in context, arXiv:1405.0312; the scores are those
+  of https://cocodataset.org/#detection-eval.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from async_tnt.base.extras import needs_extra
+from async_tnt.evaluation.object_tables import ObjectTable
+from async_tnt.kernels.decisions.objects import CLASS, HEIGHT, PROBABILITY, WIDTH, X, Y
+
+SCORES = ("map", "map_50", "map_75", "map_small", "map_medium", "map_large")
+"""COCO's first six numbers: over overlaps of .5 to .95, of .5 and of .75 alone, and over the areas
+of boxes, below 32 x 32 pixels, up to 96 x 96, and above."""
+
+
+class Convention(NamedTuple):
+    """Which boxes count, as a data set has it. The others are left out, found ones, too."""
+
+    skipped_us: int = 0
+    """Boxes before this time do not count."""
+    least_side_px: float = 0.0
+    """The least width and height of a box."""
+    least_diagonal_px: float = 0.0
+    """The least diagonal of a box."""
+
+    def counts(self, t_us: np.ndarray, width: np.ndarray, height: np.ndarray) -> np.ndarray:
+        """Whether each box counts."""
+        is_large = np.minimum(width, height) >= self.least_side_px
+        is_long = np.hypot(width, height) >= self.least_diagonal_px
+        counted: np.ndarray = (t_us >= self.skipped_us) & is_large & is_long
+        return counted
+
+
+ALL_BOXES = Convention()
+"""All boxes count."""
+
+CONVENTIONS = {
+    "all": ALL_BOXES,
+    "gen1": Convention(500_000, 10.0, 30.0),
+    "1mpx": Convention(500_000, 20.0, 60.0),
+}
+"""Name -> convention. Those of Prophesee's Gen1 and 1Mpx sets are the ones of their toolbox."""
+
+
+@dataclass
+class FoundBoxes:
+    """The boxes of tables, and those that a model has found, at many moments.
+
+    Parameters
+    ----------
+    convention : which boxes count.
+    """
+
+    convention: Convention = ALL_BOXES
+    _n_moments: int = 0
+    _present: list[dict[str, Any]] = field(default_factory=list)
+    _found: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, table: ObjectTable, rows: slice, found: np.ndarray) -> None:
+        """Add a moment.
+
+        Parameters
+        ----------
+        table, rows : the objects that are there, of which those with a size are boxes.
+        found : float64, (M, FOUND_SIZE), see `kernels.decisions.objects`.
+        """
+        moment = self._n_moments
+        self._n_moments += 1
+        size = table.size[rows]
+        counts = self.convention.counts(table.t[rows], size[:, 0], size[:, 1])
+        corner = table.middle[rows] - size / 2
+        for k in np.flatnonzero(counts & (size > 0).all(axis=1)):
+            self._present.append(
+                {
+                    "id": len(self._present) + 1,
+                    "image_id": moment,
+                    "category_id": int(table.label[rows][k]),
+                    "bbox": [*corner[k].tolist(), *size[k].tolist()],
+                    "area": float(size[k].prod()),
+                    "iscrowd": 0,
+                }
+            )
+        t_us = np.full(len(found), table.t[rows][0])
+        for k in np.flatnonzero(self.convention.counts(t_us, found[:, WIDTH], found[:, HEIGHT])):
+            width, height = found[k, [WIDTH, HEIGHT]].tolist()
+            left = float(found[k, X]) - width / 2
+            top = float(found[k, Y]) - height / 2
+            self._found.append(
+                {
+                    "image_id": moment,
+                    "category_id": int(found[k, CLASS]),
+                    "bbox": [left, top, width, height],
+                    "score": float(found[k, PROBABILITY]),
+                }
+            )
+
+    @property
+    def n_present(self) -> int:
+        """How many boxes the tables have."""
+        return len(self._present)
+
+    def scores(self, classes: Sequence[str]) -> dict[str, float | None]:
+        """COCO's `SCORES`; None where the tables have no box of these areas.
+
+        Raises
+        ------
+        ImportError : pycocotools is not installed.
+        """
+        with needs_extra("boxes", "COCO's scores of boxes need pycocotools"):
+            from pycocotools.coco import COCO
+            from pycocotools.cocoeval import COCOeval
+        if not self._present:
+            return dict.fromkeys(SCORES)
+        if not self._found:
+            return dict.fromkeys(SCORES, 0.0)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints what it does
+            present = COCO()
+            present.dataset = {
+                "info": {},
+                "images": [{"id": moment} for moment in range(self._n_moments)],
+                "categories": [{"id": k, "name": name} for k, name in enumerate(classes)],
+                "annotations": self._present,
+            }
+            present.createIndex()
+            evaluation = COCOeval(present, present.loadRes(self._found), "bbox")
+            evaluation.evaluate()
+            evaluation.accumulate()
+            evaluation.summarize()
+        numbers = evaluation.stats[: len(SCORES)].tolist()
+        # -1 stands for no box
+        return {
+            name: None if number < 0 else round(float(number), 5)
+            for name, number in zip(SCORES, numbers, strict=True)
+        }

@@ -1,0 +1,142 @@
+"""COCO's scores of boxes: numbers by hand, what counts, and the command that prints them."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from made import events_of
+from torch import nn
+
+from async_tnt import Model, TNTConfig
+from async_tnt.evaluation.box_scores import CONVENTIONS, SCORES, FoundBoxes
+from async_tnt.evaluation.object_tables import ObjectTable
+
+pytest.importorskip("pycocotools", reason="needs the extra `boxes`")
+
+
+def table(*rows):
+    """t, class, x, y, w, h of each object; x, y is its middle."""
+    numbers = np.array(rows, float).reshape(-1, 6)
+    return ObjectTable(
+        t=numbers[:, 0].astype(np.int64),
+        label=numbers[:, 1].astype(np.int64),
+        middle=numbers[:, 2:4],
+        reach=numbers[:, 4:] / 2,
+        size=numbers[:, 4:],
+        unknown={},
+    )
+
+
+def found(*rows):
+    """Class, x, y, w, h, probability of each object."""
+    return np.array([(x, y, p, k, 0, w, h) for k, x, y, w, h, p in rows], float).reshape(-1, 7)
+
+
+WHOLE = slice(None)
+
+
+def test_a_perfect_box_a_shifted_one_and_a_false_one():
+    """The second box overlaps by 8 x 10 of 12 x 10: .667. It is right for overlaps up to .65."""
+    boxes = FoundBoxes()
+    boxes.add(table((9, 0, 20, 20, 10, 10)), WHOLE, found((0, 20, 20, 10, 10, 0.9)))
+    boxes.add(table((9, 0, 20, 20, 10, 10)), WHOLE, found((0, 22, 20, 10, 10, 0.8)))
+    scores = boxes.scores(["a"])
+    assert scores["map_50"] == 1.0
+    # at .7 to .95 only the first one is right: half of the recall, up to .5 of 101 steps
+    one = 51 / 101
+    assert scores["map_75"] == pytest.approx(one, abs=1e-4)
+    assert scores["map"] == pytest.approx((4 * 1 + 6 * one) / 10, abs=1e-4)
+    assert scores["map_small"] == scores["map"]
+    assert scores["map_medium"] is None and scores["map_large"] is None
+    # a false one that is likelier than all others halves the precision
+    other = FoundBoxes()
+    other.add(
+        table((9, 0, 20, 20, 10, 10)),
+        WHOLE,
+        found((0, 60, 20, 10, 10, 0.95), (0, 20, 20, 10, 10, 0.9)),
+    )
+    assert other.scores(["a"])["map"] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_classes_are_apart():
+    boxes = FoundBoxes()
+    boxes.add(
+        table((9, 0, 20, 20, 10, 10), (9, 1, 60, 60, 50, 50)),
+        WHOLE,
+        found((1, 20, 20, 10, 10, 0.9), (1, 60, 60, 50, 50, 0.8)),
+    )
+    scores = boxes.scores(["a", "b"])
+    # class a: never found; class b: one false box before the right one
+    assert scores["map"] == pytest.approx((0 + 0.5) / 2, abs=1e-4)
+    assert scores["map_small"] == 0.0
+
+
+def test_without_boxes():
+    boxes = FoundBoxes()
+    boxes.add(table((9, 0, 5, 5, 0, 0)), WHOLE, found((0, 5, 5, 3, 3, 0.9)))
+    assert boxes.n_present == 0 and boxes.scores(["a"]) == dict.fromkeys(SCORES)
+    boxes.add(table((9, 0, 5, 5, 4, 4)), WHOLE, found())
+    none = FoundBoxes()
+    none.add(table((9, 0, 5, 5, 4, 4)), WHOLE, found())
+    assert none.scores(["a"])["map"] == 0.0
+
+
+@pytest.mark.parametrize(
+    "name, counted",
+    [
+        ("all", [True] * 6),
+        ("gen1", [False, True, True, False, True, False]),
+        ("1mpx", [False, True, False, False, False, False]),
+    ],
+)
+def test_what_counts(name, counted):
+    """A box too early; a large one; one of 12 x 40; one of 9 x 200; 25 x 25; 12 x 12 pixels."""
+    t = np.array([499_999, *[500_000] * 5])
+    width = np.array([99.0, 99, 12, 9, 25, 12])
+    height = np.array([99.0, 99, 40, 200, 25, 12])
+    assert CONVENTIONS[name].counts(t, width, height).tolist() == counted
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Ten ON events at a pixel, a Gen1-like file of boxes, and a model that finds 8 x 4 boxes."""
+    config = TNTConfig(sensor=(64, 40), grid=(64, 40), representation="count", window_us=1000)
+    net = nn.Conv2d(2, 5, 1)
+    with torch.no_grad():
+        net.weight[:, :, 0, 0] = torch.tensor([[1.0, 0], [0, 1.0], [0, 0], [0, 0], [0, 0]])
+        net.bias[:] = torch.tensor([0.0, 0, 9.5, np.log(8.0), np.log(4.0)])
+    model = tmp_path / "m.safetensors"
+    Model.from_torch(nn.Sequential(net), config, ("on", "off")).save(model)
+    folder = tmp_path / "gen1"
+    folder.mkdir()
+    n = 10
+    events = events_of(600_100 + np.arange(n), [20] * n, [10] * n, [1] * n)
+    np.savez(folder / "a_td.npz", events=events, sensor=config.sensor)
+    kinds = [("ts", "i8"), *((name, "f4") for name in "xywh"), ("class_id", "u4")]
+    rows = [(600_900, 16, 8, 8, 4, 0), (600_900, 40, 8, 8, 4, 1)]
+    np.save(folder / "a_bbox.npy", np.array(rows, kinds))
+    return model, folder
+
+
+def test_the_command(recording, program):
+    code, out, _ = program("evaluate", *recording, "--json")
+    report = json.loads(out)
+    assert code == 0 and report["f1"] == 0.66667
+    assert report["coco"]["map"] == pytest.approx(0.5)  # one class of two
+    assert set(report["coco_against_time_ms"]) == {"0.3", "0.5", "1"}
+    _, out, _ = program("evaluate", *recording)
+    assert "mAP .5" in out and "0.500" in out.splitlines()[-1]
+    # of Gen1 only larger boxes count
+    _, out, _ = program("evaluate", *recording, "--boxes", "gen1")
+    assert out.splitlines()[-1] == "no scores of boxes: the tables have no boxes that count"
+
+
+def test_without_the_extra_there_is_a_line_that_names_it(recording, program, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pycocotools.coco", None)
+    code, out, _ = program("evaluate", *recording)
+    assert code == 0 and "F1 0.6667" in out
+    assert "no scores of boxes: COCO's scores of boxes need pycocotools: pip install" in out
+    assert "async_tnt[boxes]" in out
