@@ -27,6 +27,7 @@ DATA = {"--nmnist": "nmnist", "--mnist": "mnist"}
 
 QUICK = {
     "bare": "--quick --json {out}/x.json",
+    "box_cost": "--quick --json {out}/x.json",
     "cars": "--quick --json {out}/x.json",
     "decisions": "--quick --json {out}/x.json",
     "early": "--nmnist {nmnist} --json {out}/x.json",

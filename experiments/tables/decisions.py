@@ -212,3 +212,16 @@ def incremental_work(report: dict[str, Any]) -> str:
         head,
         body,
     )
+
+
+@of_report("box_cost")
+def box_cost(report: dict[str, Any]) -> str:
+    """A table of a decision with boxes after one event, beside one with points."""
+    rows = []
+    for sensor, numbers in report["sensors"].items():
+        for name, us in numbers["us"].items():
+            quartiles = f"{short(us['q1'])} to {short(us['q3'])}"
+            cells = [sensor, name, short(us["median"]), quartiles, short(us["p99"])]
+            cells.append(f"{numbers['ratio']:.2f}" if name == "boxes" else "1")
+            rows.append(cells)
+    return table(["sensor", "", "us a decision", "quartiles", "99 %", "of points"], rows)
