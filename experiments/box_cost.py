@@ -2,8 +2,8 @@
 
     python -m experiments.box_cost [MODEL] [--quick] [--json FILE]
 
-MODEL is a map model that says sizes; by default one with random weights, of `train`'s network and
-ten classes. The model of points is the same without the last two channels of its map. Both see the
+MODEL is a map model that says sizes; by default the bundled `digits-everywhere` with two more
+channels of random weights. The model of points is the same without these channels. Both see the
 same moving recordings on two sensors, and take turns: 300 events that are not timed, then one event
 and the decision. The classes and places of the objects must be equal, up to those that boxes
 suppress.
@@ -20,9 +20,8 @@ if __name__ == "__main__":  # libraries read these variables when they are impor
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import numpy as np
-import torch
 
-from async_tnt import Model, Processor, TNTConfig, load_model
+from async_tnt import Model, Processor, load_model
 from async_tnt.base.progress import progress
 from experiments.map_times import moving
 from experiments.scripts.options import exit_with, run_script, script_parser
@@ -31,6 +30,9 @@ from experiments.speed.timing import latency, machine, no_collector, one_thread
 
 SENSORS = ((240, 180), (640, 480))
 """Width and height of the sensors, in pixels."""
+
+BUNDLED = "digits-everywhere"
+"""The bundled map model, of points."""
 
 N_MOMENTS = 1_000
 """Number of decisions of each model that are timed."""
@@ -42,19 +44,16 @@ N_OBJECTS = 3
 """Number of recordings that stand on the sensor."""
 
 
-def random_model() -> Model:
-    """A model with boxes and random weights, which finds a few objects."""
-    from async_tnt.training.networks import build_network
-
-    config = TNTConfig(representation="count")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        network = build_network("map", config.channels, config.grid, 10)
-        last: Any = list(network.children())[-1]
-        with torch.no_grad():
-            last.weight.mul_(4)
-            last.bias[10] += 1.0
-    return Model.from_torch(network.eval(), config, [str(k) for k in range(10)])
+def with_sizes(model: Model) -> Model:
+    """A map model with two more channels, whose weights are random: sizes of about five places."""
+    rng = np.random.default_rng(0)
+    *_, last = model.layers
+    weights = dict(model.weights)
+    for role, name in last["weights"].items():
+        shape = (2, *weights[name].shape[1:])
+        added = rng.normal(0.0, 0.05, shape) + (np.log(5.0) if role == "bias" else 0.0)
+        weights[name] = np.concatenate([weights[name], added.astype(np.float32)])
+    return replace(model, weights=weights)
 
 
 def without_sizes(model: Model) -> Model:
@@ -118,11 +117,12 @@ def _check(answers: dict[str, Any]) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Measure the report or read it, and print its table."""
     parser = script_parser("box_cost", __doc__, "30 decisions")
-    parser.add_argument("model", nargs="?", metavar="MODEL", help="default: random weights")
+    text = f"default: {BUNDLED} with random sizes"
+    parser.add_argument("model", nargs="?", metavar="MODEL", help=text)
     args = parser.parse_args(argv)
 
     def measured(quick: bool) -> dict[str, Any]:
-        model = load_model(args.model) if args.model else random_model()
+        model = load_model(args.model) if args.model else with_sizes(load_model(BUNDLED))
         if not model.has_sizes:
             raise ValueError(f"{args.model}: not a map model that says sizes")
         with one_thread(True):

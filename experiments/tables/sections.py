@@ -19,6 +19,7 @@ from experiments.tables import (
     thesis,
 )
 from experiments.tables.texts import (
+    BOX_COST,
     CARS,
     DECISIONS,
     DEFAULT,
@@ -401,6 +402,14 @@ SECTIONS = (
             flow.flow_planes: "The settings of the plane fits",
             flow.flow_times: "From an event to the flow on 346x260",
             flow.flow_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Boxes beside points",
+        text=BOX_COST,
+        command="experiments.box_cost --json experiments/results/box_cost.json",
+        tables={
+            decisions.box_cost: "A decision after one event",
         },
     ),
     Section(

@@ -228,6 +228,12 @@ pass the same to the bit (onnxruntime and torch: within 1e-4 of the largest). A 
 over from another one shares no computed place with it: its first event costs more than a whole
 pass."""
 
+BOX_COST = """\
+The bundled `digits-everywhere` with two more channels of random weights, which say sizes, beside
+the same without them, on the same moving recordings by turns. Timed are one event and the decision;
+300 events and a decision between two of these are not. The objects are the same, but for those that
+a likelier box suppresses."""
+
 SLIDING = """\
 Images of counts, split by polarity, of a spot that moves; packets and windows take turns. The
 decisions are those of RoShamBo's network (Lungu et al. 2017) with random weights on 64x64 pixels,
