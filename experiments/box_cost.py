@@ -23,9 +23,9 @@ import numpy as np
 
 from async_tnt import Model, Processor, load_model
 from async_tnt.base.progress import progress
-from experiments.map_times import moving
 from experiments.scripts.options import exit_with, run_script, script_parser
 from experiments.speed.interleaved import WorkDiffers
+from experiments.speed.moving_recordings import moving
 from experiments.speed.timing import latency, machine, no_collector, one_thread
 
 SENSORS = ((240, 180), (640, 480))
