@@ -32,6 +32,7 @@ from async_tnt.networks.layers.graph import (
 from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.networks.layers.operations import OPERATIONS
 from async_tnt.networks.layers.reach import Work, work_of_one_event
+from async_tnt.networks.models.features import feature_model
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
 from async_tnt.networks.spiking.operations import (
@@ -312,6 +313,35 @@ class Model:
         """Name of a raw output -> its shape, (C, H, W) or (N,); empty for a model with classes."""
         shapes = self._shapes
         return {name: shapes[layer] for name, layer in self.outputs.items()}
+
+    def features(self, layer: str | None = None) -> Model:
+        """The network up to a layer: a model of one raw output, "features", which is the layer's.
+
+        For clustering, tracking, or heads of one's own. A Processor of it gives the same numbers as
+        the whole network has inside, after every event.
+
+        Parameters
+        ----------
+        layer : name of a layer. By default that which the first dense layer reads; without dense
+            layers, that which the last layer reads. A flattened map is given as the map itself.
+
+        Raises
+        ------
+        ParameterValueError : there is no such layer.
+        NotImplementedError : the network is one of neurons, see `SpikingVolume`.
+
+        Examples
+        --------
+        >>> from async_tnt import load_model
+        >>> load_model("digits").features().output_shapes
+        {'features': (32, 8, 8)}
+        """
+        if self.is_spiking:
+            raise NotImplementedError(
+                "a network of neurons has no features; SpikingVolume shows the spikes and "
+                "membranes of each layer"
+            )
+        return feature_model(self, layer)
 
     @property
     def has_sizes(self) -> bool:
