@@ -67,6 +67,8 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     every_us = settings.every_us
     every_events = settings.every_events
 
+    if config.slides:  # its window never ends before a decision is due
+        return
     if every_us is not None and every_us > window_us:
         name = "every_us"
         problem = f"= {every_us} is longer than a window, {window_us} us"

@@ -279,3 +279,11 @@ def test_a_digit_names_its_bundled_recording_in_every_command(
     code, out, err = program(*words.format("3").split())
     assert code == 2 and "3: unknown suffix ''" in err
     assert program(*words.format("12").split())[0] == 2
+
+
+@pytest.mark.parametrize("command", ["run", "check", "plot"])
+def test_a_model_in_the_place_of_a_recording_is_told(program, tmp_path, command):
+    (tmp_path / "m.safetensors").write_bytes(b"0" * 99)
+    code, _, err = program(command, tmp_path / "m.safetensors")
+    assert code == 2 and err.count("\n") == 1
+    assert "a model and no recording; commands take models as --model m.safetensors" in err

@@ -355,6 +355,14 @@ def test_confidence_tells_when_the_class_changes(window, is_compiled, other):
     assert again == expected[: len(again)] and again
 
 
+def test_decisions_may_be_farther_apart_than_the_window_is_long(recwarn):
+    model = small_model(last_us=300)
+    events = random_events(400, duration_us=6_000, sensor=SENSOR)
+    decisions = list(stream(events, model, every_us=1_000, start_us=0))
+    assert [d.trigger for d in decisions] == ["every_us"] * 5 + ["end"]
+    assert not recwarn.list
+
+
 def test_fire_at_a_later_time():
     model = small_model(last_us=300)
     processor = Processor(model)

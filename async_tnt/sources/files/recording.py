@@ -48,6 +48,9 @@ OffSensor = Literal["warn", "raise", "count"]
 OFF_SENSOR = get_args(OffSensor)
 """What `open_recording` can do with events off the sensor."""
 
+MODEL_SUFFIXES = (".safetensors", ".onnx", ".nir")
+"""Suffixes of models, which are no recordings."""
+
 BY_FIRST_BYTES: dict[bytes, Reader] = {
     b"\x89HDF\r\n\x1a\n": open_hdf5,
     b"#!AER-DAT4": open_aedat4,
@@ -409,6 +412,10 @@ def _check_path(path: Path) -> None:
     if not path.exists():
         return
     if path.suffix.lower() not in READERS:
+        if path.suffix.lower() in MODEL_SUFFIXES:
+            raise ValueError(
+                f"{path}: a model and no recording; commands take models as --model {path.name}"
+            )
         raise ValueError(
             f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}"
         )
