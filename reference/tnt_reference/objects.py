@@ -87,7 +87,7 @@ def _scaled(pair: tuple[float, ...], scale: tuple[float, float]) -> tuple[float,
 def objects_on_map(
     logits: torch.Tensor, near: int = 1, sizes: torch.Tensor | None = None
 ) -> list[FoundObject]:
-    """The objects on a map, the likeliest first.
+    """The objects on a map, the likeliest first; of equally likely ones the first, row by row.
 
         s(y, x) = max_k<K z_k(y, x) - z_K(y, x)
         (y, x) is a peak:  s > 0

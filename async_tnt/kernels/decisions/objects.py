@@ -8,7 +8,7 @@ row by row from the left. Scores and peaks are kept between calls: scores are co
 the map has changed, and peaks within NEAR of such places. Each peak is an object, of the likeliest
 class there. Its position is the mean of the places
 within one row and column of the peak, weighted by their scores where these are positive. Objects
-are listed from the likeliest on.
+are listed from the likeliest on; of equally likely ones, that with the first peak, row by row.
 
 A map may say how large objects are. Then two channels a and b follow `nothing`, and with the
 distances dx and dy between neighbouring places, in sensor pixels, an object at a peak has
@@ -141,6 +141,7 @@ def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_
                 best = _softmax_at(maps, about, y, x, probabilities[n])
                 found[n, PROBABILITY] = probabilities[n, best]
                 found[n, CLASS] = best
+                found[n, NUMBER] = n  # of the peak, until objects get their numbers
                 _write_position(scores, y, x, tracks[ON_SENSOR], found[n])
                 _write_size(maps, about, y, x, tracks[ON_SENSOR], found[n])
                 peak_bits &= peak_bits - np.uint64(1)  # clears the lowest bit
@@ -446,18 +447,29 @@ def _overlap_with_known(one, known):
 
 @compiled
 def _sort(probabilities, found, n):
-    """Sort n objects, the likeliest first. By Shell's sort: a map of noise may have thousands."""
+    """Sort n objects, the likeliest first, and equally likely ones by the numbers of their peaks.
+
+    By Shell's sort: a map of noise may have thousands.
+    """
     step = 1
     while 3 * step + 1 < n:
         step = 3 * step + 1
     while step > 0:
         for last in range(step, n):
             k = last
-            while k >= step and found[k - step, PROBABILITY] < found[k, PROBABILITY]:
+            while k >= step and _is_behind(found, k - step, k):
                 _swap(found, k, k - step)
                 _swap(probabilities, k, k - step)
                 k -= step
         step //= 3
+
+
+@compiled
+def _is_behind(found, i, k):
+    """Whether object i must stand behind object k."""
+    if found[i, PROBABILITY] != found[k, PROBABILITY]:
+        return found[i, PROBABILITY] < found[k, PROBABILITY]
+    return found[i, NUMBER] > found[k, NUMBER]
 
 
 @compiled
