@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from made import nasty_streams
 from networks.random_spiking import CONFIG, random_spiking_model
 
-from async_tnt import Model
+from async_tnt import Model, open_recording
 from async_tnt.networks.models.spiking_volume import SpikingVolume
 
 torch = pytest.importorskip("torch", reason="the reference needs torch")
@@ -24,6 +24,8 @@ from tnt_reference.spiking import SpikingNetwork  # noqa: E402
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))
 EVENTS = 120
+REAL_EVENTS = int(os.environ.get("ASYNC_TNT_REAL_EVENTS", "1500"))
+"""Number of events of real recordings."""
 
 LEAKY_BOUND = 1e-9
 """How much membranes that leak may differ."""
@@ -104,3 +106,24 @@ def test_random_graphs():
         drawn = RandomGraph(seed)
         model = Model.from_nir(drawn.graph, **drawn.meaning, window_us=1000)
         compare_at_every_event(model, stream_of(seed, 40, model.config), (seed,))
+
+
+def test_the_published_graph_on_real_recordings(data):
+    """At every event. ASYNC_TNT_REAL_EVENTS makes it a long run: it was a million events once."""
+    pytest.importorskip("h5py", reason="needs the extra `nir`")
+    path = data / "nir" / "cnn_sinabs.nir"
+    if not path.is_file():
+        pytest.skip(f"no file {path}")
+    model = Model.from_nir(path, reset="subtract", window_us=1_000_000)
+    n_left = REAL_EVENTS
+    n_fired = 0
+    for recording in sorted((data / "nmnist" / "Test").glob("*/*.bin")):
+        events = open_recording(recording).read()[:n_left]
+        columns = np.stack([events[name].astype(np.int64) for name in "txyp"], axis=1)
+        columns[:, 0] -= columns[0, 0]
+        reference = compare_at_every_event(model, columns, (recording.name,))
+        n_fired += sum(reference.spikes.values())
+        n_left -= len(events)
+        if n_left == 0:
+            break
+    assert n_fired > REAL_EVENTS
