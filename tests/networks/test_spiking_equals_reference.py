@@ -109,7 +109,7 @@ def test_random_graphs():
 
 
 def test_the_published_graph_on_real_recordings(data):
-    """At every event. ASYNC_TNT_REAL_EVENTS makes it a long run: it was a million events once."""
+    """At every event. ASYNC_TNT_REAL_EVENTS makes it a long run."""
     pytest.importorskip("h5py", reason="needs the extra `nir`")
     path = data / "nir" / "cnn_sinabs.nir"
     if not path.is_file():
