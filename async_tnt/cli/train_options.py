@@ -140,13 +140,13 @@ def _add_network(group: argparse._ActionsContainer) -> None:
         "--last-us",
         type=positive_int,
         metavar="US",
-        help="a window that slides: at any moment the events of the last US microseconds",
+        help="a window that slides: always the last US microseconds",
     )
     length.add_argument(
         "--last-events",
         type=positive_int,
         metavar="N",
-        help="a window that slides: at any moment the last N events",
+        help="a window that slides: always the last N events",
     )
     group.add_argument(
         "--grid",

@@ -96,5 +96,5 @@ def test_what_has_no_features():
         random_spiking_model(0).features()
     flat = nn.Sequential(nn.Flatten(), nn.Linear(4 * 16 * 20, 3))
     model = Model.from_torch(flat, CONFIG, ["a", "b", "c"])
-    with pytest.raises(ValueError, match="must be given: the first dense layer reads the volume"):
+    with pytest.raises(ValueError, match="`layer` must be another one: this one is the volume"):
         model.features()

@@ -286,4 +286,4 @@ def test_a_model_in_the_place_of_a_recording_is_told(program, tmp_path, command)
     (tmp_path / "m.safetensors").write_bytes(b"0" * 99)
     code, _, err = program(command, tmp_path / "m.safetensors")
     assert code == 2 and err.count("\n") == 1
-    assert "a model and no recording; commands take models as --model m.safetensors" in err
+    assert "m.safetensors: a model, which has an option of its own, and no recording" in err

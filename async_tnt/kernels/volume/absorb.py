@@ -62,7 +62,7 @@ def absorb(buffer, t, x, y, p, first, last):
     """
     ints = buffer.view(np.int64)
     lock = release_gil((last - first >= LARGE) & (ints[S.WITHOUT_GIL] == 0))
-    if ints[S.RING] != 0:  # a window that slides
+    while first < last and ints[S.RING] != 0:  # a window that slides; one round
         first = slide(buffer, ints, t, x, y, p, first, last)
         last = first
     while first < last:

@@ -32,7 +32,7 @@ from async_tnt.networks.layers.graph import (
 from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.networks.layers.operations import OPERATIONS
 from async_tnt.networks.layers.reach import Work, work_of_one_event
-from async_tnt.networks.models.features import feature_model
+from async_tnt.networks.models.features import FEATURES, layers_up_to
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
 from async_tnt.networks.spiking.operations import (
@@ -341,7 +341,15 @@ class Model:
                 "a network of neurons has no features; SpikingVolume shows the spikes and "
                 "membranes of each layer"
             )
-        return feature_model(self, layer)
+        network = {**self.network, CLASSIFIER: layers_up_to(self.layers, layer)}
+        tensors = tensors_of([one for layers in network.values() for one in layers])
+        return replace(
+            self,
+            weights={name: w for name, w in self.weights.items() if name in tensors},
+            classes=(),
+            network=network,
+            outputs={FEATURES: network[CLASSIFIER][-1]["name"]},
+        )
 
     @property
     def has_sizes(self) -> bool:

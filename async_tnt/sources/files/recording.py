@@ -413,9 +413,7 @@ def _check_path(path: Path) -> None:
         return
     if path.suffix.lower() not in READERS:
         if path.suffix.lower() in MODEL_SUFFIXES:
-            raise ValueError(
-                f"{path}: a model and no recording; commands take models as --model {path.name}"
-            )
+            raise ValueError(f"{path}: a model, which has an option of its own, and no recording")
         raise ValueError(
             f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}"
         )
