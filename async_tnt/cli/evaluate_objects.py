@@ -69,7 +69,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         raise ValueError(
             f"{args.model} finds objects: {', '.join(refused_options)} cannot be used with it"
         )
-    if model.config.window_events is not None:
+    if model.config.window_events is not None or model.config.last_events is not None:
         raise ValueError(
             f"{args.model}: objects are scored in windows of a duration, not of a number of events"
         )

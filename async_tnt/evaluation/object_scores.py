@@ -169,6 +169,8 @@ def score_recording(
     processor = Processor(model, start_us=0)
     zeros = np.zeros(n_classes, np.int64)
     scores = dict.fromkeys(SHARES, ObjectScores(zeros, zeros, zeros))
+    # the boxes of a recording that turns out to be damaged do not count
+    found_boxes: list[tuple[float, slice, np.ndarray]] = []
 
     times_us, rows_of = zip(*table.moments(), strict=True)
     n_events = 0
@@ -180,9 +182,9 @@ def score_recording(
         parts = np.split(events, stops)[:-1]
         for share, part in zip(SHARES, parts, strict=True):
             processor.push(part)
-            found = _objects_of(processor)
+            found = _objects_of(processor, round(share * window_us) - 1)
             if boxes is not None:
-                boxes[share].add(table, rows, found)
+                found_boxes.append((share, rows, found))
             scores[share] += score_objects(
                 found,
                 table.label[rows],
@@ -197,12 +199,15 @@ def score_recording(
             f"{recording.path}: no event in the {window_us} us before any time in its table, "
             f"{times}"
         )
+    for share, rows, found in found_boxes:
+        assert boxes is not None
+        boxes[share].add(table, rows, found)
     return scores
 
 
-def _objects_of(processor: Processor) -> np.ndarray:
-    """The objects that a Processor finds in its open window: float64, (M, FOUND_SIZE)."""
-    objects = processor.fire().objects or ()
+def _objects_of(processor: Processor, now_us: int) -> np.ndarray:
+    """The objects that a Processor finds in its open window now: float64, (M, FOUND_SIZE)."""
+    objects = processor.fire(at_us=now_us).objects or ()
     rows = [
         (
             item.x,

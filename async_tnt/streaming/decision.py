@@ -189,7 +189,13 @@ def in_windows(
     """
     start_us = 0
     window: list[Decision] = []
+    last: Decision | None = None
     for decision in decisions:
+        if config.last_events is not None and decision.trigger == "end" and last is not None:
+            is_again = (decision.time_us, decision.events) == (last.time_us, last.events)
+            if is_again:  # no event has come since
+                continue
+        last = decision
         if config.last_us is not None and window:
             passed_us = decision.time_us - start_us
             if passed_us >= config.last_us:

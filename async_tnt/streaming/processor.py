@@ -223,7 +223,6 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         self._decoder.reset()
         self._windows.reset()
         self._classifier.forget()
-        self._triggers.forget()
         self._begin_oldest(-1)
         if self.start_us is not None:
             self._open_windows(self.start_us)
@@ -575,8 +574,8 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         """End the stream: classify the open windows that hold events, and close them.
 
         The decisions have `complete` False and the trigger `end`. Events of these windows that
-        still come are late. But if windows have a number of events, such events begin another
-        window.
+        still come are late. But if windows have a number of events, or slide, such events begin
+        another window.
         """
         return self._finish([])
 
@@ -673,6 +672,8 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Change the triggers; they apply to the open window, too."""
         self._classifier.check_confidence(settings.confidence)
+        if settings.confidence != self._triggers.settings.confidence:
+            self._triggers.forget()
         self._triggers.set(settings)
         self._choose_ways()
         if len(self._windows):

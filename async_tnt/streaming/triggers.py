@@ -103,7 +103,6 @@ class Triggers:
         self.state = np.zeros(T.SIZE)
         self._ints = self.state.view(np.int64)
         self.set(settings)
-        self.forget()
         self.begin_window(0, None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -147,6 +146,7 @@ class Triggers:
     def begin_window(self, now_us: int, start_us: int | None) -> None:
         """Begin again for an oldest window from `start_us` on; None: no window is open."""
         self.n_at_decision = 0
+        self.forget()
         self._ints[T.DUE_US] = NEVER_US
         if start_us is not None:
             self.schedule(now_us, start_us)

@@ -353,7 +353,7 @@ class WindowScheduler:
         assert self._closing is not None
         volume = self._closing.volume
         self._decided_from_us = self._closing.decided_from_us
-        if self._window_events is not None:
+        if self._window_events is not None or self._slides:
             self._next_start_us = None
         volume.close()
         if volume not in self._free:

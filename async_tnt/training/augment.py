@@ -96,13 +96,16 @@ class Draws:
 def fineness(sensor: tuple[int, int]) -> int:
     """How many times finer than `sensor` the sensor of augmented events is.
 
-    It is `FINE` times finer, or less if a side of `sensor` has over 1024 pixels.
+    It is `FINE` times finer, or less if a side of `sensor` has over 1024 pixels. A line of pixels
+    is as fine as it is.
 
     Examples
     --------
     >>> fineness((34, 34)), fineness((1280, 720))
     (32, 25)
     """
+    if min(sensor) == 1:
+        return 1  # a line of pixels has no places between two lines
     finest = (MAX_SIDE - 1) // (max(sensor) - 1)  # a side may have at most `MAX_SIDE` pixels
     return max(1, min(FINE, finest))
 
@@ -130,7 +133,7 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
     An image of times would count an event between pixels as an event of each of these pixels. For
     another volume, `draws` are returned as they are.
     """
-    if config.representation not in TIME_IMAGES:
+    if config.representation not in TIME_IMAGES or draws.sensor == config.sensor:
         return draws
     return replace(
         draws,
@@ -195,6 +198,24 @@ def showing_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -
     on_share[is_edge] = np.where(has_one_polarity, np.rint(on_share[is_edge]), on_share[is_edge])
     place[:, 7] = on_share
     return replace(draws, content=kinds, place=place)
+
+
+def during_slice(draws: Draws, b: int, n: int) -> Draws:
+    """The same draws for slice `b` of `n`, which is filled as a window of its own.
+
+    Other events are left out than in the other slices, and what shows nothing has other events. An
+    edge goes on where it was at the end of the slice before.
+    """
+    # the constant is odd, so no two slices have the same seed
+    shift = np.uint64(b * 0xD1B54A32D192ED03 % (1 << 64))
+    place = draws.place.copy()
+    is_edge = draws.content == EDGE
+    # how far the edge is from its middle place when half of the slice has passed
+    travelled = place[is_edge, 4] * ((b + 0.5) / n - 0.5)
+    place[is_edge, 0] += place[is_edge, 2] * travelled
+    place[is_edge, 1] += place[is_edge, 3] * travelled
+    place[is_edge, 4] /= n
+    return replace(draws, seed=draws.seed + shift, place=place)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from async_tnt.kernels.training.window_batches import (
     landmark_gradients,
     window_volumes,
 )
-from async_tnt.training.augment import Draws, unchanged
+from async_tnt.training.augment import Draws, during_slice, unchanged
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig, with_an_end
 from async_tnt.volume.events import empty_columns
@@ -99,10 +99,11 @@ class BatchVolumes:
         assert slice_us is not None
         on_sensor = np.zeros((len(windows), 2))
         counts = np.empty((len(windows), *self._of_windows.shape), np.float32)
-        by_polarity = out.reshape(len(windows), counts.shape[1], self.config.bins, *out.shape[2:])
-        for b in range(self.config.bins):
+        n = self.config.bins
+        by_polarity = out.reshape(len(windows), counts.shape[1], n, *out.shape[2:])
+        for b in range(n):
             of_slice = replace(
-                draws,
+                during_slice(draws, b, n),
                 start_us=draws.start_us + b * slice_us,
                 until_us=np.clip(draws.until_us - b * slice_us, 0, slice_us),
             )

@@ -135,7 +135,9 @@ class SceneMaker:
 
         # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
         # `fine` times finer than the recording's.
-        fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
+        fine = 1.0
+        if draws.sensor != self.crops.sensor:
+            fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
         recorded_middles, recorded_sizes = _boxes(windows, until_us[scene] - later_us)
         middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded_middles)
         middles = (middles + draws.matrix[:, :, 2]) / fine

@@ -314,6 +314,23 @@ def everywhere() -> str:
     return table(["digits", "F1 at the end", every, "30 ms after the last start", every], rows)
 
 
+def box_scenes() -> str:
+    """A table of F1 and COCO's scores of a model with boxes, in scenes of real recordings."""
+    (model,) = results("box_scenes")["models"]
+    titles = {
+        "three": "three on 128x96, 30 pixels and more apart",
+        "close": "the same, 16 pixels and more apart",
+        "overlapping": "the same, each 16 to 24 pixels from another one",
+        "eight": "eight on 640x480",
+    }
+    rows = []
+    for kind, title in titles.items():
+        scores = [model[kind][name] for name in ("end", "early", "map", "map_50", "map_75")]
+        rows.append([title, *(f"{score:.3f}" for score in scores)])
+    head = ["digits", "F1 at the end", "30 ms after the last start", "mAP", "mAP .5", "mAP .75"]
+    return table(head, rows)
+
+
 def car_scenes() -> str:
     """A table of F1 of a map model of N-CARS, in scenes of its test part."""
     (model,) = results("car_scenes")["models"]

@@ -372,6 +372,10 @@ SECTIONS = (
         ),
         tables={
             datasets.everywhere: "Real digits in scenes",
+            datasets.box_scenes: (
+                "Real digits in scenes, by a model with boxes: `python -m experiments.everywhere "
+                "boxes0.safetensors --json experiments/results/box_scenes.json`"
+            ),
             datasets.car_scenes: "Cars",
             streams.map_times: (
                 "From events to objects, `push` and `fire`, beside the whole map, after three "

@@ -1,6 +1,7 @@
 """COCO's scores of boxes: numbers by hand, what counts, and the command that prints them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import torch
 from made import events_of
 from torch import nn
 
-from async_tnt import Model, TNTConfig
+from async_tnt import Model, TNTConfig, load_model
 from async_tnt.evaluation.box_scores import CONVENTIONS, SCORES, FoundBoxes
 from async_tnt.evaluation.object_tables import ObjectTable
 
@@ -130,6 +131,28 @@ def test_the_command(recording, program):
     # of Gen1 only larger boxes count
     _, out, _ = program("evaluate", *recording, "--boxes", "gen1")
     assert out.splitlines()[-1] == "no scores of boxes: the tables have no boxes that count"
+
+
+def test_a_recording_that_is_skipped_has_no_boxes(recording, program):
+    """All of its events come long before the moments of its table."""
+    model, folder = recording
+    _, before, _ = program("evaluate", model, folder, "--json")
+    np.savez(folder / "b_td.npz", **np.load(folder / "a_td.npz"))
+    boxes = np.load(folder / "a_bbox.npy")
+    boxes["ts"] += 5_000_000
+    np.save(folder / "b_bbox.npy", boxes)
+    _, after, err = program("evaluate", model, folder, "--json")
+    assert "skipped: " in err and "no event in the 1000 us before" in err
+    assert json.loads(after)["coco"] == json.loads(before)["coco"]
+
+
+def test_windows_of_a_number_of_events_are_refused(recording, program):
+    model, folder = recording
+    loaded = load_model(model)
+    config = loaded.config.replace(last_events=50)
+    replace(loaded, config=config).save(model)
+    code, _, err = program("evaluate", model, folder)
+    assert code == 2 and "objects are scored in windows of a duration" in err
 
 
 def test_without_the_extra_there_is_a_line_that_names_it(recording, program, monkeypatch):

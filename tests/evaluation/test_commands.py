@@ -120,7 +120,7 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
 
 
 def decided(time_us, trigger="every_us", start_us=0):
-    return SimpleNamespace(time_us=time_us, trigger=trigger, window_start_us=start_us)
+    return SimpleNamespace(time_us=time_us, trigger=trigger, window_start_us=start_us, events=7)
 
 
 @pytest.mark.parametrize(
@@ -142,6 +142,12 @@ def decided(time_us, trigger="every_us", start_us=0):
             TNTConfig(representation="count", last_events=7),
             [(3, "every_events", 1), (102, "every_events", 9), (103, "end", 20)],
             [(1, 1), (9, 1), (20, 1)],
+        ),
+        # no event has come since: the end says the same again
+        (
+            TNTConfig(representation="count", last_events=7),
+            [(3, "every_events", 1), (102, "every_events", 9), (102, "end", 9)],
+            [(1, 1), (9, 1)],
         ),
     ],
 )

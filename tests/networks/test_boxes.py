@@ -315,6 +315,27 @@ def test_a_model_with_boxes_is_kept_in_a_file_copied_and_moved_to_another_sensor
     assert found.fire().objects == expected.fire().objects != ()
 
 
+def test_an_exported_model_with_boxes(tmp_path):
+    onnx = pytest.importorskip("onnx", reason="needs the extra `onnx`")
+    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
+    from async_tnt.networks import OnnxClassifier, to_onnx
+
+    model = box_model()
+    onnx.save(to_onnx(model), tmp_path / "m.onnx")
+    classifier = OnnxClassifier(tmp_path / "m.onnx")
+    assert classifier.n_classes == 3 and classifier.classes == model.classes
+    processor = Processor(model.config, classifier=classifier, classes=classifier.classes)
+    expected = Processor(model)
+    events = random_events(900, sensor=CONFIG.sensor, duration_us=3_900)
+    processor.push(events)
+    expected.push(events)
+    found = processor.fire().objects
+    assert len(found) > 2
+    np.testing.assert_allclose(
+        as_rows(found), as_rows(expected.fire().objects), rtol=1e-3, atol=1e-3
+    )
+
+
 def test_what_is_refused():
     model = box_model()
     with pytest.raises(ValueError, match="or of 5, with two more for the width and height of obj"):

@@ -72,6 +72,12 @@ def test_a_layer_by_its_name(net):
         model.features("nose")
 
 
+def test_a_layer_that_is_no_text(net):
+    model = Model.from_torch(net, CONFIG, ["a", "b", "c"])
+    with pytest.raises(ValueError, match="`layer` must be a layer of the network"):
+        model.features(["first"])
+
+
 def test_the_bundled_models(tmp_path):
     digits = load_model("digits").features()
     assert digits.output_shapes == {"features": (32, 8, 8)}

@@ -12,7 +12,7 @@ from async_tnt.training.windows import FARTHEST, windows_of
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.training.augment import unchanged
+from async_tnt.training.augment import KINDS, fineness, showing_nothing, unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.held_out import hold_out_ends
 from async_tnt.training.plan import Plan
@@ -139,6 +139,42 @@ def test_slices_are_drawn_with_a_newest_one_of_any_length():
     assert lacking_us.min() >= 0 and lacking_us.max() <= 99 and len(set(lacking_us.tolist())) > 60
     ends_us = np.concatenate([one.start_us + one.until_us for one in draws])
     assert (ends_us == 700).all()  # where the window ends does not change
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_shows_nothing_differs_from_slice_to_slice(kind):
+    """Events at other places; an edge goes on where it was at the end of the slice before."""
+    config = TNTConfig(
+        sensor=(60, 60), grid=(60, 60), transform="none", polarity="unsigned", bins=4, last_us=4_000
+    )
+    events = random_events(4_000, duration_us=4_000, sensor=config.sensor)
+    recordings = Recordings.from_events([events], [0])
+    windows = windows_of(recordings, config)[:1]
+    draws = unchanged(1, config)
+    draws = showing_nothing(draws, np.array([KINDS[kind]]), np.random.default_rng(3))
+    (volume,) = BatchVolumes(config)(windows, draws)
+    assert volume.sum() > 500
+    for b in range(3):
+        assert not np.array_equal(volume[b], volume[b + 1])
+    if kind == "along an edge":
+        normal = draws.place[0, 2:4]
+        rows, columns = np.mgrid[:60, :60]
+        across = [
+            (one * (columns * normal[0] + rows * normal[1])).sum() / one.sum() for one in volume
+        ]
+        steps = np.diff(across)
+        np.testing.assert_allclose(steps, draws.place[0, 4] / 4, rtol=0.2)
+
+
+def test_a_line_of_pixels_is_augmented_on_its_own_pixels():
+    """An own network may be trained on one."""
+    config = TNTConfig(sensor=(30, 1), grid=(30, 1), representation="count", last_us=700)
+    events = random_events(300, duration_us=3_000, sensor=config.sensor)
+    recordings = Recordings.from_events([events], [0])
+    windows = windows_of(recordings, config)
+    draws = settings_for(config, 100).augmentation.draw(windows, config, np.random.default_rng(0))
+    assert draws.sensor == (30, 1) and fineness((1, 1)) == 1
+    assert BatchVolumes(config)(windows, draws).sum() > 100
 
 
 @pytest.mark.parametrize("window", [{"last_us": 700}, {"last_events": 60}], ids=str)

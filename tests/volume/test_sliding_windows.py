@@ -363,6 +363,30 @@ def test_decisions_may_be_farther_apart_than_the_window_is_long(recwarn):
     assert not recwarn.list
 
 
+@pytest.mark.parametrize("window", [{"last_events": 25}, {"last_us": 300}], ids=str)
+def test_events_after_the_end_of_a_stream_begin_another_window(window):
+    model = small_model(**window)
+    events = random_events(120, duration_us=1_500, sensor=SENSOR)
+    processor = Processor(model, confidence=1e-9)
+    first = [told(d) for d in processor.push(events)]
+    assert len(processor.finish()) == 1
+    later = events.copy()
+    later["t"] += 10_000
+    again = processor.push(later)
+    # the first class is told again, as of a new stream
+    assert [told(d)[1:] for d in again] == [one[1:] for one in first] and first
+    assert processor.counts.dropped_late == 0 and len(processor.finish()) == 1
+
+
+def test_a_new_level_of_confidence_tells_the_class_again():
+    processor = Processor(small_model(last_us=300), confidence=1e-9)
+    packet = ([10], [1], [1], [1])
+    assert len(processor.push(packet)) == 1
+    assert processor.push(([11], [1], [1], [1])) == []
+    processor.confidence = 1e-8
+    assert len(processor.push(([12], [1], [1], [1]))) == 1
+
+
 def test_fire_at_a_later_time():
     model = small_model(last_us=300)
     processor = Processor(model)

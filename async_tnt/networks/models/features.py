@@ -32,7 +32,7 @@ def layers_up_to(layers: Sequence[Layer], layer: str | None) -> list[Layer]:
         dense = [one for one in layers if one["op"] == "dense"]
         head = dense[0] if dense else layers[-1]
         name = head["inputs"][0]
-    elif name not in by_name:
+    elif not isinstance(name, str) or name not in by_name:
         rule = f"must be a layer of the network: {', '.join(by_name)}"
         raise ParameterValueError("layer", rule, short(name))
     while name != VOLUME and by_name[name]["op"] == "flatten":

@@ -108,7 +108,8 @@ class _Reader:
 
         In NIR they are vectors. Here they are maps (1, 1, W).
         """
-        self._reads_pixels_alone = False
+        self.reads_pixels_alone = False
+        """Whether the node that is read now reads one of these."""
         self._output: str | None = None
         self._refused = Refusals()
 
@@ -127,11 +128,11 @@ class _Reader:
             rule = RULES.get(node.kind)
             if rule is None:
                 raise RefusedError(node.kind, f"{_title(node)} has no meaning here")
-            self._reads_pixels_alone = value in self._pixels_alone
+            self.reads_pixels_alone = value in self._pixels_alone
             layer = rule(self, node)
-            if self._reads_pixels_alone and layer["op"] == "dense":
-                value = self.add(f"{node.name}.vector", [value], {"op": "flatten"})
-            elif self._reads_pixels_alone and layer["op"] != "flatten":
+            if self.reads_pixels_alone and layer["op"] == "dense":
+                value = self._as_vector(node.name, value)
+            elif self.reads_pixels_alone and layer["op"] != "flatten":
                 self._pixels_alone.add(node.name)
             self._value_of[node.name] = self.add(node.name, [value], layer)
         except RefusedError as error:
@@ -159,10 +160,19 @@ class _Reader:
             raise ValueError("it reads no other node")
         if len(values) == 1:
             return values[0]
+        are_pixels = self._pixels_alone.issuperset(values)
+        if not are_pixels:
+            values = [self._as_vector(f"{node.name}.{k}", value) for k, value in enumerate(values)]
         total = self.add(f"{node.name}+", values, {"op": "add"})
-        if self._pixels_alone.issuperset(values):
+        if are_pixels:
             self._pixels_alone.add(total)
         return total
+
+    def _as_vector(self, name: str, value: str) -> str:
+        """A value of a graph whose input is (W,) as the vector that it is in NIR."""
+        if value not in self._pixels_alone:
+            return value
+        return self.add(f"{name}.vector", [value], {"op": "flatten"})
 
     def _input(self, node: Node) -> str:
         """The events, in the order of the input's channels."""
@@ -206,7 +216,7 @@ class _Reader:
         """A parameter of neurons in the shape that layers have: a line is a map of one row."""
         if self.is_line and values.ndim == 2:
             return values[:, np.newaxis, :]
-        if self._reads_pixels_alone and values.size > 1:
+        if self.reads_pixels_alone and values.size > 1:
             return values.reshape(1, 1, -1)
         return values
 
@@ -359,7 +369,8 @@ def _pool(op: str) -> Rule:
 def _flatten(reader: _Reader, node: Node) -> dict[str, Any]:
     (start,) = _whole(node, "start_dim", 1)
     (end,) = _whole(node, "end_dim", 1)
-    if start != 0 or end not in (-1, 1 if reader.is_line else 2):
+    last_axis = 0 if reader.reads_pixels_alone else 1 if reader.is_line else 2
+    if start != 0 or end not in (-1, last_axis):
         raise NotImplementedError(f"a Flatten from {start} to {end}, not of all axes (0 to -1)")
     return {"op": "flatten"}
 

@@ -95,6 +95,8 @@ class OnnxClassifier:
             self.classes = self.exported.classes
             if is_map:
                 self.places = _places_of(self.exported, self._name)
+                if len(self._answer) == len(self.classes) + 3:  # two channels say sizes
+                    self.n_classes = len(self.classes)
             self._check_exported(self.exported)
 
     def _check_exported(self, exported: Exported) -> None:

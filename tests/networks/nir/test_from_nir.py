@@ -186,8 +186,9 @@ def test_neurons_of_single_pixels():
     assert membranes.tolist() == [[[0.0, 3.0, 0.0]]]
     fires = nir.IF(r=gains, v_threshold=np.array([9.0, 2.0, 9.0]))
     last = nir.IF(r=ONES, v_threshold=np.full(2, 99.0))
-    graph = graph_of(fires, nir.Linear(weight), last, sides=(3,))
-    assert impulse_of(graph, 1, 0).tolist() == [2.0, 16.0]
+    for between in ([], [nir.Flatten({"input": np.array([3])}, 0, 0)]):
+        graph = graph_of(fires, *between, nir.Linear(weight), last, sides=(3,))
+        assert impulse_of(graph, 1, 0).tolist() == [2.0, 16.0]
     assert impulse_of(graph, 2, 0).tolist() == [0.0, 0.0]
 
 
