@@ -60,8 +60,8 @@ def sliding_training(report: dict[str, Any]) -> str:
             cells.append(f"{np.mean(means):.3f}")
             cells.append(" ".join(f"{mean:.3f}" for mean in means))
             rows.append(cells)
-    shares = ["0.2", "0.5", "1", "1.2", "1.5"]
-    head = ["", "windows", *(f"after {share} windows" for share in shares), "at the end"]
+    moments_named = ["0.2", "0.5", "1", "1.2", "1.5"]
+    head = ["", "windows", *(f"after {name} windows" for name in moments_named), "at the end"]
     return table([*head, "mean over time", "of each seed"], rows)
 
 

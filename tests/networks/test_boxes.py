@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from made import random_events
-from tnt_reference import ObjectNumbers, box_overlap, boxes_on_map
+from tnt_reference import ObjectNumbers, box_overlap, boxes_on_map, objects_on_map
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, load_model
@@ -26,7 +26,7 @@ CONFIG = TNTConfig(
 )
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "30"))
-"""Number of random networks. ASYNC_TNT_FUZZ_CASES makes it a long run: it was 10,000 once."""
+"""Number of random networks. ASYNC_TNT_FUZZ_CASES makes it a long run."""
 
 
 def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, stride=2):
@@ -202,9 +202,17 @@ def assert_stream_equals_whole_maps(model, events, size):
         assert key(ours)[:5] == key(theirs)[:5]
         assert ours.objects == theirs.objects
         assert ours.probabilities.tobytes() == theirs.probabilities.tobytes()
-        assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
+        if not has_near_ties(theirs.logits):
+            assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
         n_found += len(ours.objects)
     return n_found
+
+
+def has_near_ties(maps):
+    """Whether two objects are so nearly as likely that rounding decides which comes first."""
+    found = objects_on_map(torch.from_numpy(maps[:-2]))
+    apart = -np.diff([thing.probability for thing in found])
+    return bool(((apart > 0) & (apart < 1e-12)).any())
 
 
 @pytest.mark.parametrize("size", [1, 7, 300, 5000])
