@@ -112,11 +112,13 @@ def _sync_corners(buffer, ints, program, maps, bits):
     width = program[P.WIDTH]
     changed = program[P.INPUT_CHANGED]
     words = program[P.INPUT_CHANGED + WORDS]
+    has_slices = ints[S.SLICE_US] != 0
     for k in range(program[P.N_SEEN], ints[S.N_LOG]):
-        c0, y0, x0 = cell_at(ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
+        corner = ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))]
+        c0, y0, x0 = cell_at(ints, corner, has_slices)
         for c in range(c0, min(c0 + 2, n_channels)):
             for y in range(y0, min(y0 + 2, height)):
-                source = np.uint64(row_at(ints, c, y))
+                source = np.uint64(row_at(ints, c, y, has_slices))
                 plane = program[P.PLANES] + (c * height + y) * width
                 for x in range(x0, min(x0 + 2, width)):
                     value = np.float32(buffer[source + np.uint64(x)]) + np.float32(0)
@@ -136,12 +138,13 @@ def _sync_all(buffer, ints, program, maps, bits):
     width = program[P.WIDTH]
     changed = program[P.INPUT_CHANGED]
     words = program[P.INPUT_CHANGED + WORDS]
+    has_slices = ints[S.SLICE_US] != 0
     note_rows(program, P.INPUT_CHANGED, 0, height - 1)
     for y in range(height):
         row = changed + y * words
         for c in range(n_channels):
             at = program[P.PLANES] + (c * height + y) * width
-            cells = row_at(ints, c, y)
+            cells = row_at(ints, c, y, has_slices)
             if width < 8:
                 note_changes(bits, row, 0, round_cells(buffer, cells, width, maps, at))
             else:

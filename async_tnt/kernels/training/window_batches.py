@@ -150,7 +150,7 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
             if not kept:
                 continue
 
-            b, y, x = cell_at(ints, np.int64(corner))
+            b, y, x = cell_at(ints, np.int64(corner), False)
             d_u = 0.0
             d_v = 0.0
             for is_upper in range(2):

@@ -92,12 +92,13 @@ def cells_to_float32(buffer, array):
 
 
 @inlined
-def cell_at(ints, corner):
+def cell_at(ints, corner, has_slices):
     """Plane, row and column of an event's corner, the inverse of `splat.place_event`.
 
     Parameters
     ----------
     corner : int. Index of the cell in the volume's buffer.
+    has_slices : bool. Whether the window has slices, see `slices`: a number that kernels keep.
     """
     row = ints[S.ROW]
     plane = ints[S.PLANE]
@@ -105,15 +106,15 @@ def cell_at(ints, corner):
     b = place // plane
     y = (place - b * plane) // row
     x = place - b * plane - y * row
-    if ints[S.SLICE_US] != 0:
+    if has_slices:
         b = _turned(ints, b, -ints[S.PHASE])
     return b, y, x
 
 
 @inlined
-def row_at(ints, b, y):
-    """Index of the first cell of a row of channel b."""
-    if ints[S.SLICE_US] != 0:
+def row_at(ints, b, y, has_slices):
+    """Index of the first cell of a row of channel b. For `has_slices` see `cell_at`."""
+    if has_slices:
         b = _turned(ints, b, ints[S.PHASE])
     return S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW]
 
@@ -149,12 +150,13 @@ def _copy_planes(buffer, ints, array):
     # With `split` polarity, the OFF bins lie OFF_SHIFT cells behind the ON bins. Otherwise
     # OFF_SHIFT is 0, and each channel is a bin of its own.
     n_bins = ints[S.OFF_SHIFT] // ints[S.PLANE] or n_channels
+    has_slices = ints[S.SLICE_US] != 0
     for b in range(n_channels):
         # Events in interval i change the bins i and i + 1.
         if not ints[S.INTERVAL_LO] <= b % n_bins <= ints[S.INTERVAL_HI] + 1:
             continue
         for y in range(height):
-            row_start = np.uint64(row_at(ints, b, y))
+            row_start = np.uint64(row_at(ints, b, y, has_slices))
             for x in range(width):
                 array[b, y, x] = buffer[row_start + np.uint64(x)]
 
@@ -163,9 +165,10 @@ def _copy_planes(buffer, ints, array):
 def _copy_around(buffer, ints, corner, array):
     """`cells_to_float32` for the cells that an event at this corner changed."""
     n_channels, height, width = array.shape
-    b0, y0, x0 = cell_at(ints, corner)
+    has_slices = ints[S.SLICE_US] != 0
+    b0, y0, x0 = cell_at(ints, corner, has_slices)
     for b in range(b0, min(b0 + 2, n_channels)):
         for y in range(y0, min(y0 + 2, height)):
-            row_start = np.uint64(row_at(ints, b, y))
+            row_start = np.uint64(row_at(ints, b, y, has_slices))
             for x in range(x0, min(x0 + 2, width)):
                 array[np.uint64(b), np.uint64(y), np.uint64(x)] = buffer[row_start + np.uint64(x)]
