@@ -294,17 +294,20 @@ def _statistic(value: float | None) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.2f}"
 
 
+SCENES = {
+    "three": "three on 128x96, 30 pixels and more apart",
+    "close": "the same, 16 pixels and more apart",
+    "overlapping": "the same, each 16 to 24 pixels from another one",
+    "eight": "eight on 640x480",
+}
+"""Kind of scenes of digits -> its title."""
+
+
 def everywhere() -> str:
     """A table of F1 in scenes of real recordings, for the bundled map model and for all models."""
     models = results("everywhere")["models"]
-    kinds = {
-        "three": "three on 128x96, 30 pixels and more apart",
-        "close": "the same, 16 pixels and more apart",
-        "overlapping": "the same, each 16 to 24 pixels from another one",
-        "eight": "eight on 640x480",
-    }
     rows = []
-    for kind, title in kinds.items():
+    for kind, title in SCENES.items():
         row = [title]
         for moment in ("end", "early"):
             f1 = [model[kind][moment] for model in models]
@@ -317,14 +320,8 @@ def everywhere() -> str:
 def box_scenes() -> str:
     """A table of F1 and COCO's scores of a model with boxes, in scenes of real recordings."""
     (model,) = results("box_scenes")["models"]
-    titles = {
-        "three": "three on 128x96, 30 pixels and more apart",
-        "close": "the same, 16 pixels and more apart",
-        "overlapping": "the same, each 16 to 24 pixels from another one",
-        "eight": "eight on 640x480",
-    }
     rows = []
-    for kind, title in titles.items():
+    for kind, title in SCENES.items():
         scores = [model[kind][name] for name in ("end", "early", "map", "map_50", "map_75")]
         rows.append([title, *(f"{score:.3f}" for score in scores)])
     head = ["digits", "F1 at the end", "30 ms after the last start", "mAP", "mAP .5", "mAP .75"]
