@@ -4,8 +4,8 @@ A window has no copy of its events. It has the number of a recording, and a star
 can move the start of a window into a neighbouring window. Training needs this, because the first
 window of a live stream starts at the stream's first event, which may be at any time of a motion.
 
-A stream with a window that slides sees it at all moments. So `Windows.slid` moves each window to
-another moment, in each epoch anew.
+A window that slides is seen at all moments of a stream. So `Windows.slid` gives each window another
+moment in every epoch.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Agreement:
     first: list[dict[str, Any]] = field(default_factory=list)
     """Recording, event, layer and neurons of each difference."""
     largest_difference: float = 0.0
-    """Of membranes, where spikes are the same."""
+    """The largest difference of membranes, where spikes are the same."""
     nearest: float = np.inf
     """The least distance of a membrane from a threshold."""
     operations: dict[str, int] = field(default_factory=dict)

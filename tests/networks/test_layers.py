@@ -223,7 +223,7 @@ def test_groups_divide_channels_and_filters(channels, filters, groups):
 
 @pytest.mark.parametrize("side", range(4))
 def test_the_padding_of_a_pooling_is_less_than_its_kernel_on_each_side(side):
-    """Of 4 rows and 2 columns."""
+    """The kernel has 4 rows and 2 columns."""
     kernel = [4, 2]
     padding = [0, 0, 0, 0]
     padding[side] = kernel[side % 2] - 1

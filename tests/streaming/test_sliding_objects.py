@@ -72,7 +72,7 @@ def test_ids_live_on(window):
 
 @pytest.mark.parametrize("window", [{"last_us": 10_000}, {"last_events": 2}], ids=str)
 def test_a_long_absence_gives_a_new_id(window):
-    """Of the last events nobody knows the time, so there an object is remembered for 105 ms."""
+    """A window of a number of events has no length in time: objects are remembered for 105 ms."""
     memory_us = 10_000 if "last_us" in window else 105_000
     for pause_us, is_same in ((memory_us - 2_000, True), (memory_us + 2_000, False)):
         processor = Processor(pair_finder(**window), every_events=2)

@@ -144,7 +144,7 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(
 
 
 def test_a_figure_shows_the_motions_that_are_in_the_files(windows, made):
-    """Of windows of all files: here each recording is a class, of which the first window is shown.
+    """Windows of all files: here each recording is a class, and its first window is shown.
 
     So every window has random motions of its own.
     """

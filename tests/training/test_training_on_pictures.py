@@ -236,7 +236,7 @@ def test_each_part_of_a_run_is_made_of_pictures_that_are_written_down(tmp_path, 
 
 
 def test_every_recording_has_motions_of_its_own(tmp_path, monkeypatch):
-    """Of one picture that is in two classes and on both sides, and in a figure."""
+    """One picture is in two classes and on both sides, and in a figure."""
     monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 6, "held-out": 6})
     path = find_pictures(write_pictures(tmp_path / "p", n=1))["bar"][0]
     scene = SceneSettings(SENSOR, 20_000)

@@ -95,7 +95,7 @@ def test_panels_show_what_was_there_until_then(number):
 
 
 def test_a_window_that_slides_still_holds_events_from_before():
-    """Of the last 9 ms: after 3 ms of the second stretch, those of the first one are 6 ms old."""
+    """The window is 9 ms: 3 ms into the second stretch, the first one's events are 6 ms old."""
     model = dot_finder()
     slid = CONFIG.replace(
         representation="count", transform="none", polarity="unsigned", last_us=9_000

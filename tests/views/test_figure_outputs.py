@@ -74,7 +74,7 @@ def outputs_of(events, model=MODEL, **settings):
 
 
 def test_outputs_are_those_at_the_ends_of_windows():
-    """Of ten windows the first, the last and three between them. A row has one range."""
+    """The first, the last and three more of ten windows are shown. A row has one range."""
     figure = drawn(EVENTS)
     outputs = outputs_of(EVENTS)
     shown = [outputs[k] for k in (0, 2, 4, 6, 9)]

@@ -348,7 +348,10 @@ def _padding(node: Node, kernel: list[int], dilation: list[int], is_line: bool) 
         reach = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
         top, left = (side // 2 for side in reach)
         return [top, left, reach[0] - top, reach[1] - left]
-    rows, columns = [0, *_whole(node, "padding", 1)] if is_line else _whole(node, "padding")
+    if is_line:
+        (columns,) = _whole(node, "padding", 1)
+        return [0, columns, 0, columns]
+    rows, columns = _whole(node, "padding")
     return [rows, columns, rows, columns]
 
 

@@ -67,7 +67,7 @@ class FlatGroups(NamedTuple):
     """The value of the map itself."""
     groups: int
     epsilon: float | None = None
-    """Of the norm of each group, once it has been read."""
+    """The epsilon of each group's norm, once the norm has been read."""
 
 
 class OnnxLayers:
