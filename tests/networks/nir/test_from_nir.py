@@ -182,8 +182,12 @@ def test_neurons_of_single_pixels():
     weight = np.array([[1.0, 2.0, 4.0], [8.0, 16.0, 32.0]])
     gains = np.array([2.0, 3.0, 5.0])
     pixels = nir.IF(r=gains, v_threshold=np.full(3, 99.0))
-    membranes = impulse_of(graph_of(pixels, sides=(3,)), 1, 0)
-    assert membranes.tolist() == [[[0.0, 3.0, 0.0]]]
+    assert impulse_of(graph_of(pixels, sides=(3,)), 1, 0).tolist() == [0.0, 3.0, 0.0]
+    named = Model.from_nir(graph_of(pixels, sides=(3,)), classes=["a", "b", "c"], reset="subtract")
+    assert named.logits_shape == (3,)
+    one_gain = nir.LIF(np.ones(1), np.ones(1), np.zeros(1), np.ones(1))
+    alike = Model.from_nir(graph_of(one_gain, sides=(3,)), reset="subtract", dt=1e-3)
+    assert alike.output_shapes["membranes"] == (3,)
     fires = nir.IF(r=gains, v_threshold=np.array([9.0, 2.0, 9.0]))
     last = nir.IF(r=ONES, v_threshold=np.full(2, 99.0))
     for between in ([], [nir.Flatten({"input": np.array([3])}, 0, 0)]):
@@ -209,6 +213,11 @@ def test_neurons_of_single_pixels():
             nir.SumPool2d(np.array([1, 2]), np.array([1, 2]), np.array([0, 0])),
             (2, 4),
             "(SumPool2d): it needs a graph whose input has a shape (1 or 2, H, W)",
+        ),
+        (
+            nir.Conv1d(4, np.ones((1, 1, 3)), 1, 0, 1, 1, np.zeros(1)),
+            (4,),
+            "(Conv1d): it needs a graph whose input has a shape (1 or 2, W)",
         ),
     ],
 )
