@@ -38,10 +38,13 @@ All outputs must agree with the compiled network's to 1e-4 of the largest number
   async-tnt export mine.safetensors --out mine.onnx --json
   async-tnt run --model digits.onnx                 run it by onnxruntime
 
-A spiking model is written as a NIR graph, and a NIR graph of another simulator becomes a
-model. A graph leaves some things open, which the options say.
+A model is also written as a NIR graph, and a NIR graph of another simulator becomes a
+spiking model. A graph leaves some things open, which the options say. NIR has no ReLU: in
+the graph of a network of ReLUs neurons with a threshold of 1 stand for them, and its
+metadata say so.
 
   async-tnt export spiking.safetensors --out spiking.nir
+  async-tnt export digits --out digits.nir          ReLUs, average poolings, dense layers
   async-tnt export net.nir --reset subtract --out net.safetensors
   async-tnt run a.npz --model net.safetensors
 
@@ -61,8 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         type=user_path,
         metavar="FILE",
-        help="FILE.onnx; FILE.nir of a spiking model; FILE.safetensors of a .nir graph. It is "
-        "replaced if it exists",
+        help="FILE.onnx; FILE.nir; FILE.safetensors of a .nir graph. It is replaced if it exists",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object")
     group = parser.add_argument_group("NIR graphs")
@@ -105,7 +107,7 @@ def main(args: argparse.Namespace) -> int:
     if Path(args.model).suffix.lower() == ".nir":
         return _model_of_nir(args, given)
     if args.out.suffix.lower() == ".nir":
-        polarity = given.pop("polarity", "off_first")
+        polarity = given.pop("polarity", None)
         _refuse(given, args)
         return _write_nir(args, polarity)
     _refuse(given, args)
@@ -125,14 +127,17 @@ def _model_of_nir(args: argparse.Namespace, given: dict[str, Any]) -> int:
     model = Model.from_nir(args.model, **given)
     path = model.save(args.out)
     if args.json:
-        say(json.dumps({"files": {str(path): path.stat().st_size}, "neurons": model.n_neurons}))
+        report: dict[str, Any] = {"files": {str(path): path.stat().st_size}}
+        if model.is_spiking:
+            report["neurons"] = model.n_neurons
+        say(json.dumps(report))
     else:
         say(f"{path} ({path.stat().st_size / 1e3:.0f} kB): {model}")
     return 0
 
 
 def _write_nir(args: argparse.Namespace, polarity: Any) -> int:
-    """Write the NIR graph of a spiking model."""
+    """Write the NIR graph of a model."""
     check_writable(args.out, (".nir",))
     with needs_extra("nir", "NIR graphs are written by nir"):
         import nir

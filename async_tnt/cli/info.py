@@ -27,6 +27,7 @@ from async_tnt.cli.output import (
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.nir.graph import Graph, in_order, read_graph
+from async_tnt.networks.nir.relu_networks import is_of_relus
 from async_tnt.sources.files.labelled_recordings import recordings_under
 from async_tnt.sources.recording_summary import RecordingSummary, summarize
 from async_tnt.volume.sensor import format_size
@@ -39,7 +40,7 @@ Say what recordings, folders of recordings and models hold.
   async-tnt info a.bag --topic /events     a ROS bag: its topics, the events of one
   async-tnt info gestures                  a folder: its classes, a line a recording
   async-tnt info digits mine.safetensors   models
-  async-tnt info net.nir                   a NIR graph of a spiking network
+  async-tnt info net.nir                   a NIR graph
 
 Of a recording it says format, sensor, times, rates, share of ON events, unsorted events
 and hot pixels; of a model classes, volume, network and training record.
@@ -247,7 +248,9 @@ def _graph_report(graph: Graph) -> dict[str, Any]:
 
 def _graph_lines(name: str, graph: Graph) -> Iterator[str]:
     """Yield the nodes of a NIR graph, as lines of text."""
-    yield f"{name}: NIR graph, {len(graph.nodes)} nodes, {len(graph.edges)} edges"
+    is_relu = is_of_relus(graph)
+    kind = " of a network of ReLUs" if is_relu else ""
+    yield f"{name}: NIR graph{kind}, {len(graph.nodes)} nodes, {len(graph.edges)} edges"
     sources: dict[str, list[str]] = {node: [] for node in graph.nodes}
     for source, target in graph.edges:
         sources[target].append(source)
@@ -264,7 +267,8 @@ def _graph_lines(name: str, graph: Graph) -> Iterator[str]:
         ]
         text = f"; {', '.join(shapes)}" if shapes else ""
         yield f"  {node.name:<10} {node.kind}{read}{text}"
-    yield f"  a model of it: async-tnt export {name} --reset subtract --out FILE.safetensors"
+    reset = "" if is_relu else " --reset subtract"
+    yield f"  a model of it: async-tnt export {name}{reset} --out FILE.safetensors"
 
 
 def _cost_report(model: Model) -> dict[str, int]:

@@ -118,7 +118,8 @@ def refuse_graph(name: str) -> None:
     if Path(name).suffix.lower() == ".nir":
         raise ValueError(
             f"{name}: a NIR graph leaves open how neurons are reset: `async-tnt export {name} "
-            "--reset subtract --out FILE.safetensors` makes a model of it"
+            "--reset subtract --out FILE.safetensors` makes a model of it (without --reset, if it "
+            "is of a network of ReLUs)"
         )
 
 

@@ -132,7 +132,7 @@ def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> 
     file_checksum = metadata.get("sha256")
     if file_checksum is not None and file_checksum != checksum_of(weights, metadata):
         raise ValueError("its checksum differs; copy or download it again")
-    description = read_description(metadata, "network")
+    description = read_description(metadata, "network", "sha256")
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")

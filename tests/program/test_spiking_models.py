@@ -122,6 +122,20 @@ def test_a_graph_becomes_a_model_and_a_graph_again(program, graph, tmp_path):
     assert (tmp_path / "n.safetensors").read_bytes() == out.read_bytes()
 
 
+def test_a_network_of_relus_goes_to_a_graph_and_back(program, tmp_path):
+    graph = tmp_path / "digits.nir"
+    code, text, error = program("export", "digits", "--out", graph)
+    assert (code, error) == (0, "")
+    assert text.startswith(f"{graph} (")
+    out = tmp_path / "digits.safetensors"
+    assert program("export", graph, "--out", out)[0] == 0
+    again = load_model(out)
+    assert again.network == load_model("digits").network
+    head, *_, last = program("info", graph)[1].splitlines()
+    assert head.startswith(f"{graph}: NIR graph of a network of ReLUs, 12 nodes")
+    assert last == f"  a model of it: async-tnt export {graph} --out FILE.safetensors"
+
+
 def test_info_lists_the_nodes_of_a_graph(program, graph):
     code, text, _ = program("info", graph)
     head, *nodes, last = text.splitlines()
@@ -140,7 +154,8 @@ def test_info_lists_the_nodes_of_a_graph(program, graph):
         ("check 3 --model GRAPH", "a NIR graph leaves open how neurons are reset: `async-tnt exp"),
         ("export GRAPH --out m.safetensors", "--reset must be subtract or value: NIR leaves open"),
         ("export GRAPH --out m.onnx --reset value", "m.onnx: its name must end in .safetensors"),
-        ("export digits --out m.nir", "must be a spiking model, as NIR has no ReLU"),
+        ("export digits-everywhere --out m.nir", "layer 'log1p' (log1p): NIR 1.0 has no such node"),
+        ("export digits --out m.nir --polarity on_first", "--polarity is for spiking models, got"),
         ("export digits --out m.onnx --reset value", "--reset is for a .nir graph, got digits"),
         ("export SPIKING --out m.onnx", "must have a network that reads volumes"),
         ("info broken.nir", "broken.nir is not a readable NIR graph"),

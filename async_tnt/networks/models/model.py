@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.base.checks import (
-    ParameterError,
     ParameterTypeError,
     ParameterValueError,
     plain_array,
@@ -40,8 +39,8 @@ from async_tnt.networks.spiking.operations import (
     SPIKING_OPERATIONS,
     check_spiking_values,
 )
-from async_tnt.networks.spiking.outputs import check_spiking_outputs, outputs_of
-from async_tnt.volume.config import WINDOW_US, TNTConfig
+from async_tnt.networks.spiking.outputs import check_spiking_outputs
+from async_tnt.volume.config import TNTConfig
 
 if TYPE_CHECKING:
     from torch import nn
@@ -227,13 +226,16 @@ class Model:
         graph: Any,
         *,
         classes: Sequence[str] | None = None,
-        window_us: int = WINDOW_US,
+        window_us: int | None = None,
         reset: Reset | None = None,
         dt: float | None = None,
-        polarity: PolarityOrder = "off_first",
+        polarity: PolarityOrder | None = None,
         record: Mapping[str, Any] | None = None,
     ) -> Model:
         """A spiking model of a NIR graph. Each event goes through it at its own time.
+
+        Of a graph that `to_nir` wrote of a network of ReLUs it is that network again, with its own
+        configuration and classes, unless `reset` says that its neurons shall fire.
 
         Parameters
         ----------
@@ -244,18 +246,20 @@ class Model:
             spikes in the window is decided for; of a leaky integrator, that with the largest
             membrane. Without them the model has raw outputs, see
             `networks.spiking.outputs.OUTPUTS`.
-        window_us : length of a window in microseconds. Neurons begin each window at rest.
+        window_us : length of a window in microseconds, by default 105,000. Neurons begin each
+            window at rest.
         reset : what a spike does to the membrane, which NIR leaves open: "subtract" takes the
             threshold from it, as often as the membrane is above it; "value" sets it to `v_reset`.
         dt : the time step, in seconds, of the program that trained a network with leaky neurons. An
             input counts r dt / tau.
-        polarity : the order of the input's two channels.
+        polarity : the order of the input's two channels, by default "off_first".
         record : see Model.
 
         Raises
         ------
         ImportError : h5py is not installed.
-        TypeError : the graph leaves `reset` or `dt` open, and it was not passed.
+        TypeError : the graph leaves `reset` or `dt` open, and it was not passed; or a parameter is
+            passed for a network of ReLUs, which has its own.
         NotImplementedError : nodes have no meaning at an event, and the message names them.
         OSError : there is no such file, or it cannot be opened.
         ValueError : the file is damaged, or the graph does not fit together.
@@ -264,35 +268,11 @@ class Model:
         ----------
         - Pedersen et al. 2024, doi:10.1038/s41467-024-52259-9
         """
-        from async_tnt.networks.nir.from_nir import Meaning, layers_from_nir
-        from async_tnt.networks.nir.graph import graph_of, read_graph
+        from async_tnt.networks.models.nir_import import model_of_nir
+        from async_tnt.networks.nir.from_nir import Meaning
 
-        where = ""
-        if isinstance(graph, (str, Path)):
-            opened = read_graph(user_path(graph))
-            where = f"{graph}: "
-        elif hasattr(graph, "to_dict"):
-            opened = graph_of(graph.to_dict())
-        else:
-            rule = "must be the path of a .nir file, or a nir.NIRGraph"
-            raise ParameterTypeError("graph", rule, type(graph).__name__)
-        try:
-            read = layers_from_nir(opened, Meaning(reset, dt, polarity))
-            config = TNTConfig(
-                sensor=read.sensor, grid=read.sensor, representation="count", window_us=window_us
-            )
-            return cls(
-                config,
-                read.weights,
-                () if classes is None else classes,  # type: ignore[arg-type]  # `cls` checks it
-                record or {},
-                network={SPIKING: read.layers},
-                outputs=outputs_of(read.layers) if classes is None else {},
-            )
-        except ParameterError:
-            raise
-        except (NotImplementedError, ValueError) as error:
-            raise type(error)(f"{where}{error}") from None
+        meaning = Meaning(reset, dt, polarity)
+        return model_of_nir(cls, graph, meaning, classes, window_us, record)
 
     @property
     def logits_shape(self) -> Shape:

@@ -95,7 +95,7 @@ def read_description(metadata: Mapping[str, str], *further_names: str) -> Descri
     ------
     ValueError : a name is missing, or its value cannot be read.
     """
-    expected = ("config", "classes", "record", *further_names, "sha256")
+    expected = ("config", "classes", "record", *further_names)
     missing = [name for name in expected if name not in metadata]
     if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")

@@ -11,6 +11,7 @@ from async_tnt.base.checks import ParameterTypeError, ParameterValueError, real_
 from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import CLASSIFIER, SPIKING, VOLUME, layer_shapes, tensors_of
 from async_tnt.networks.layers.layer import Layer
+from async_tnt.networks.models.batch_norms import Layers, Weights, without_batch_norms
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.spiking.operations import SUBTRACT
@@ -27,10 +28,6 @@ MOST_OF_A_WINDOW = 1 << 16
 
 KEPT = ("conv", "dense", "average_pool", "sum_pool", "flatten")
 """Operations that a spiking network has, too."""
-
-Layers = list[dict[str, Any]]
-
-Weights = dict[str, np.ndarray]
 
 
 def spiking_from_rates(
@@ -105,7 +102,7 @@ def spiking_from_rates(
     ['flatten', 'dense', 'if']
     """
     _check_arguments(model, spikes, percentile)
-    layers, weights = _without_batch_norms(model)
+    layers, weights = without_batch_norms(model)
     _check_layers(layers, weights)
     largest = _percentiles(model, layers, weights, windows, percentile)
     converted = _Conversion(model, layers, weights, {k: spikes / v for k, v in largest.items()})
@@ -150,61 +147,7 @@ def _check_arguments(model: Model, spikes: float, percentile: float) -> None:
         raise ParameterValueError("percentile", "must be in (0, 100]", short(percentile))
 
 
-# -- batch norms and checks ------------------------------------------------------------------------
-
-
-def _without_batch_norms(model: Model) -> tuple[Layers, Weights]:
-    """The layers and weights of the network, in which batch norms are part of other layers.
-
-    Raises
-    ------
-    NotImplementedError : a batch norm does not stand behind a convolution or a dense layer, or
-        another layer reads its input, too.
-    """
-    layers = [dict(layer) for layer in model.network[CLASSIFIER]]
-    weights = dict(model.weights)
-    by_name = {layer["name"]: layer for layer in layers}
-    outputs = set(model.outputs.values())
-    kept: Layers = []
-    folded: dict[str, str] = {}
-    for layer in layers:
-        layer["inputs"] = [folded.get(name, name) for name in layer["inputs"]]
-        if layer["op"] != "batch_norm":
-            kept.append(layer)
-            continue
-        (source,) = layer["inputs"]
-        before = by_name.get(source)
-        n_readers = sum(source in other["inputs"] for other in layers)
-        is_linear = before is not None and before["op"] in ("conv", "dense")
-        if before is None or not is_linear or n_readers > 1 or source in outputs:
-            raise NotImplementedError(
-                f"layer {layer['name']!r} (batch_norm): it must be the only reader of a "
-                "convolution or a dense layer"
-            )
-        _fold(before, layer, weights)
-        folded[layer["name"]] = source
-    used = tensors_of(kept)
-    return kept, {name: values for name, values in weights.items() if name in used}
-
-
-def _fold(before: dict[str, Any], norm: Layer, weights: Weights) -> None:
-    """Make a batch norm part of the layer before, which gets weights of its own."""
-    roles = norm["weights"]
-    mean = weights[roles["mean"]].astype(np.float64)
-    variance = weights[roles["variance"]].astype(np.float64)
-    factor = 1.0 / np.sqrt(variance + norm["epsilon"])
-    if "weight" in roles:
-        factor *= weights[roles["weight"]]
-    own = before["weights"]
-    weight = weights[own["weight"]]
-    bias = weights[own["bias"]].astype(np.float64) if "bias" in own else 0.0
-    bias = (bias - mean) * factor
-    if "bias" in roles:
-        bias = bias + weights[roles["bias"]]
-    before["weights"] = {role: f"{norm['name']}.{role}" for role in ("weight", "bias")}
-    by_filter = factor.reshape(-1, *[1] * (weight.ndim - 1))
-    weights[before["weights"]["weight"]] = (weight * by_filter).astype(np.float32)
-    weights[before["weights"]["bias"]] = bias.astype(np.float32)
+# -- checks ----------------------------------------------------------------------------------------
 
 
 def _check_layers(layers: Layers, weights: Weights) -> None:

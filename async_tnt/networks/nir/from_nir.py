@@ -29,6 +29,9 @@ PolarityOrder = Literal["off_first", "on_first"]
 
 ORDERS = get_args(PolarityOrder)
 
+OFF_FIRST: PolarityOrder = "off_first"
+"""The order of published graphs of N-MNIST, and of the library tonic."""
+
 LEAKY = ("LIF", "LI", "CubaLIF", "CubaLI")
 """Nodes whose input counts by the time step of the program that trained them."""
 
@@ -40,8 +43,8 @@ class Meaning(NamedTuple):
     """How neurons are reset that have fired."""
     dt: float | None
     """The time step, in seconds, of the program that trained the network."""
-    polarity: PolarityOrder
-    """The order of the input's two channels."""
+    polarity: PolarityOrder | None
+    """The order of the input's two channels. None is `OFF_FIRST`."""
 
 
 class SpikingLayers(NamedTuple):
@@ -80,7 +83,7 @@ def layers_from_nir(graph: Graph, meaning: Meaning) -> SpikingLayers:
 def _check_meaning(graph: Graph, meaning: Meaning) -> None:
     """Refuse a meaning that leaves something open, or has an unknown value."""
     kinds = {node.kind for node in graph.nodes.values()}
-    if meaning.polarity not in ORDERS:
+    if meaning.polarity is not None and meaning.polarity not in ORDERS:
         raise ParameterValueError(
             "polarity", f"must be {' or '.join(ORDERS)}", short(meaning.polarity)
         )
@@ -114,7 +117,7 @@ class _SpikingReader(GraphReader):
 
     def __init__(self, graph: Graph, meaning: Meaning) -> None:
         super().__init__(graph, _rules(meaning))
-        self._polarity = meaning.polarity
+        self._polarity = meaning.polarity or OFF_FIRST
         self.sensor: tuple[int, int] | None = None
 
     def input(self, node: Node) -> str:

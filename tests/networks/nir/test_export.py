@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from networks.nir.random_graphs import RandomGraph
 from networks.random_spiking import random_spiking_model
-from networks.small import small_model
 
 from async_tnt import Model, SpikingVolume, TNTConfig
 from async_tnt.networks import to_nir
@@ -230,7 +229,5 @@ def test_neurons_that_differ_in_their_reset():
 
 
 def test_refused_arguments():
-    with pytest.raises(ValueError, match="`model` must be a spiking model, as NIR has no ReLU"):
-        to_nir(small_model())
     with pytest.raises(ValueError, match="`polarity` must be off_first or on_first, got 'both'"):
         to_nir(model_of([]), polarity="both")
