@@ -8,9 +8,10 @@ window that grows, the last 5,000 events, the last 30 ms, and these in five slic
 Decisions after every event: the network of RoShamBo (Lungu et al. 2017) with random weights, on an
 image of counts of 64x64 pixels, with about 5,000 events in the window. Where a window slides, two
 places change at each decision: an event comes, and one leaves. So a growing window with two new
-events a decision is measured, too. `window_events` computes its image again from all events. It is
-verified that each sliding image holds exactly the last events, and that each decision has the bits
-of the whole network.
+events a decision is measured, too. `window_events` computes its image again from all events, and
+the whole network. The multiplications that the changed pixels reach are counted. It is verified
+that each sliding image holds exactly the last events, and that each decision has the bits of the
+whole network.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ if __name__ == "__main__":  # libraries read these variables when they are impor
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume
 from async_tnt.base.progress import progress
@@ -133,6 +135,27 @@ def roshambo_model(**window: Any) -> Model:
     return Model.from_torch(module, config, classes=["paper", "scissors", "rock", "nothing"])
 
 
+def reached_multiplications(model: Model, pixels: list[tuple[int, int]]) -> int:
+    """How many multiplications changed pixels (x, y) reach in RoShamBo's network."""
+    changed: Any = np.zeros((SIDE, SIDE), bool)
+    for x, y in pixels:
+        changed[y, x] = True
+    n = 0
+    for layer in model.layers:
+        if layer["op"] == "conv":
+            weight = model.weights[layer["weights"]["weight"]]
+            kernel = weight.shape[2:]
+            padded = np.pad(changed, kernel[0] // 2)
+            changed = np.any(sliding_window_view(padded, kernel), axis=(2, 3))
+            n += int(changed.sum()) * weight.size
+        elif layer["op"] == "max_pool":
+            rows, columns = changed.shape
+            changed = np.any(changed.reshape(rows // 2, 2, columns // 2, 2), axis=(1, 3))
+        elif layer["op"] == "dense":
+            n += model.weights[layer["weights"]["weight"]].size
+    return n
+
+
 def decision_times(n_decisions: int) -> dict[str, Any]:
     """Microseconds of decisions after every event, for each kind of window, by turns."""
     n_new = 3 * n_decisions
@@ -154,6 +177,7 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
         processor.push(events[:N_LAST])
         processor.fire()
     us: dict[str, list[float]] = {name: [] for name in processors}
+    multiplications: dict[str, list[int]] = {name: [] for name in processors}
     with progress(n_decisions, "decisions") as bar, no_collector():
         for k in range(n_decisions):
             names = list(processors) if k % 2 else list(reversed(processors))
@@ -169,6 +193,13 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
                     processor.push(event)
                 decision = processor.fire()
                 us[name].append(1e6 * (time.perf_counter() - started))
+                changed = [(x, y) for _, x, y, _ in part]
+                if name.startswith("last"):
+                    left = events[first - N_LAST]
+                    changed.append((int(left["x"]), int(left["y"])))
+                if name.startswith("window_events"):
+                    changed = list(np.ndindex(SIDE, SIDE))
+                multiplications[name].append(reached_multiplications(sliding, changed))
                 if name == "last events":
                     image = reference_counts(events[: pushed[name]], sliding.config)
                     is_held = np.array_equal(processor.volume(), image)
@@ -178,6 +209,7 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
     two = np.array(us["growing, 2 new events"])
     return {
         "us": {name: latency(np.array(values)) for name, values in us.items()},
+        "multiplications": {name: float(np.median(n)) for name, n in multiplications.items()},
         "ratio": float(np.median(np.array(us["last events"]) / two)),
         "replayed_ratio": float(
             np.median(us["window_events, replayed"]) / np.median(us["last events"])

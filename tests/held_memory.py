@@ -1,6 +1,7 @@
-"""How much memory the package holds."""
+"""How much memory the package and its process hold."""
 
 import gc
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -19,3 +20,13 @@ def held():
     gc.collect()
     snapshot = tracemalloc.take_snapshot().filter_traces([OURS])
     return sum(trace.size for trace in snapshot.traces)
+
+
+def peak_of_process():
+    """The most bytes that this process has held so far; None where the system does not say it."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -28,5 +28,9 @@ def sliding_decisions(report: dict[str, Any]) -> str:
     rows = []
     for name, us in report["decisions"]["us"].items():
         quartiles = f"{short(us['q1'])} to {short(us['q3'])}"
-        rows.append([name, short(us["median"]), quartiles, short(us["p99"])])
-    return table(["window", "us a decision", "quartiles", "99 %"], rows)
+        n = report["decisions"]["multiplications"][name]
+        rate = 1e-3 * n / us["median"]
+        cells = [short(us["median"]), quartiles, short(us["p99"])]
+        rows.append([name, *cells, f"{1e-6 * n:.2f}", f"{rate:.0f}"])
+    head = ["window", "us a decision", "quartiles", "99 %", "10^6 multiplications", "10^9 a second"]
+    return table(head, rows)

@@ -1,10 +1,12 @@
 """Windows that slide hold the events that the definition names, at every moment."""
 
 import os
+import pickle
 import re
 
 import numpy as np
 import pytest
+from held_memory import peak_of_process
 from hypothesis import given
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model
@@ -23,6 +25,9 @@ CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))
 
 LONG_STREAM = int(os.environ.get("ASYNC_TNT_LONG_STREAM", "60000"))
 """Number of events of the long stream. ASYNC_TNT_LONG_STREAM changes it: it was 20 million once."""
+
+MORE_MEMORY = 1 << 24
+"""Bytes that a process may take between two moments, for buffers of any library."""
 
 WINDOWS = [{"last_events": n} for n in (1, 2, 7, 40)] + [{"last_us": t} for t in (1, 60, 400, 900)]
 WINDOWS += [
@@ -139,7 +144,10 @@ def test_random_streams():
     ids=str,
 )
 def test_a_map_over_a_long_stream(window):
-    """A network's value of each pixel follows the events that come and leave, late ones too."""
+    """A network's value of each pixel follows the events that come and leave, late ones too.
+
+    The second half of the stream takes no more memory than the first.
+    """
     sensor = (64, 64)
     config = config_of(sensor, **window)
     torch.manual_seed(0)
@@ -155,7 +163,10 @@ def test_a_map_over_a_long_stream(window):
     now_us = 5_000
     start_us = None
     done = 0
+    memory_of_half = None
     while done < LONG_STREAM:
+        if done >= LONG_STREAM // 2 and memory_of_half is None:
+            memory_of_half = memory_of(processor)
         n = int(rng.integers(1, 8_000))
         events = random_events(n, seed=done, sensor=sensor)
         events["t"] = now_us + np.cumsum(rng.integers(0, 13, n))
@@ -174,6 +185,13 @@ def test_a_map_over_a_long_stream(window):
             values = network(torch.from_numpy(expected)[None])[0].numpy()
         np.testing.assert_allclose(processor.fire()["output"], values, atol=1e-5)
     assert processor.counts.received == done
+    for now, before in zip(memory_of(processor), memory_of_half, strict=True):
+        assert now <= before + MORE_MEMORY
+
+
+def memory_of(processor):
+    """Bytes of the state of a Processor, and of the process where the system says it."""
+    return len(pickle.dumps(processor)), peak_of_process() or 0
 
 
 def test_a_window_of_a_number_of_events_by_hand():
