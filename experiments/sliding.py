@@ -135,11 +135,10 @@ def roshambo_model(**window: Any) -> Model:
     return Model.from_torch(module, config, classes=["paper", "scissors", "rock", "nothing"])
 
 
-def reached_multiplications(model: Model, pixels: list[tuple[int, int]]) -> int:
-    """How many multiplications changed pixels (x, y) reach in RoShamBo's network."""
+def reached_multiplications(model: Model, events: np.ndarray) -> int:
+    """How many multiplications the pixels of events reach in RoShamBo's network."""
     changed: Any = np.zeros((SIDE, SIDE), bool)
-    for x, y in pixels:
-        changed[y, x] = True
+    changed[events["y"], events["x"]] = True
     n = 0
     for layer in model.layers:
         if layer["op"] == "conv":
@@ -154,6 +153,33 @@ def reached_multiplications(model: Model, pixels: list[tuple[int, int]]) -> int:
         elif layer["op"] == "dense":
             n += model.weights[layer["weights"]["weight"]].size
     return n
+
+
+def median_multiplications(
+    model: Model, events: np.ndarray, new: dict[str, int], n_decisions: int
+) -> dict[str, float]:
+    """Kind of window -> the multiplications that a decision's changed pixels reach, the median.
+
+    Parameters
+    ----------
+    events : all events. The first decisions come after `N_LAST` of them.
+    new : kind of window -> new events a decision.
+    """
+    medians = {}
+    for name, n_new in new.items():
+        if name.startswith("window_events"):
+            medians[name] = float(model.multiplications)
+            continue
+        counts = []
+        for k in range(n_decisions):
+            first = N_LAST + k * n_new
+            changed = events[first : first + n_new]
+            if name.startswith("last"):
+                left = events[first - N_LAST : first - N_LAST + 1]
+                changed = np.concatenate([changed, left])
+            counts.append(reached_multiplications(model, changed))
+        medians[name] = float(np.median(counts))
+    return medians
 
 
 def decision_times(n_decisions: int) -> dict[str, Any]:
@@ -177,7 +203,6 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
         processor.push(events[:N_LAST])
         processor.fire()
     us: dict[str, list[float]] = {name: [] for name in processors}
-    multiplications: dict[str, list[int]] = {name: [] for name in processors}
     with progress(n_decisions, "decisions") as bar, no_collector():
         for k in range(n_decisions):
             names = list(processors) if k % 2 else list(reversed(processors))
@@ -193,13 +218,6 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
                     processor.push(event)
                 decision = processor.fire()
                 us[name].append(1e6 * (time.perf_counter() - started))
-                changed = [(x, y) for _, x, y, _ in part]
-                if name.startswith("last"):
-                    left = events[first - N_LAST]
-                    changed.append((int(left["x"]), int(left["y"])))
-                if name.startswith("window_events"):
-                    changed = list(np.ndindex(SIDE, SIDE))
-                multiplications[name].append(reached_multiplications(sliding, changed))
                 if name == "last events":
                     image = reference_counts(events[: pushed[name]], sliding.config)
                     is_held = np.array_equal(processor.volume(), image)
@@ -209,7 +227,7 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
     two = np.array(us["growing, 2 new events"])
     return {
         "us": {name: latency(np.array(values)) for name, values in us.items()},
-        "multiplications": {name: float(np.median(n)) for name, n in multiplications.items()},
+        "multiplications": median_multiplications(sliding, events, new, n_decisions),
         "ratio": float(np.median(np.array(us["last events"]) / two)),
         "replayed_ratio": float(
             np.median(us["window_events, replayed"]) / np.median(us["last events"])
