@@ -34,7 +34,7 @@ from async_tnt.networks.layers.operations import OPERATIONS
 from async_tnt.networks.layers.reach import Work, work_of_one_event
 from async_tnt.networks.models.features import FEATURES, layers_up_to
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
-from async_tnt.networks.models.objects import Places, places_of
+from async_tnt.networks.models.objects import OF_BOXES, Places, n_of_boxes, places_of
 from async_tnt.networks.spiking.operations import (
     NEURONS,
     SPIKING_OPERATIONS,
@@ -353,8 +353,10 @@ class Model:
 
     @property
     def has_sizes(self) -> bool:
-        """Whether a map model says how large objects are, by two channels of its map."""
-        return self.places is not None and self.logits_shape[0] == len(self.classes) + 3
+        """Whether a map model says how large objects are, by two or four channels of its map."""
+        if self.places is None:
+            return False
+        return n_of_boxes(self.logits_shape[0], len(self.classes)) > 0
 
     @property
     def places(self) -> Places | None:
@@ -578,15 +580,16 @@ def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
     """Refuse logits that are neither one number for each class nor a map.
 
     A map has a channel for each class, and then one for "no object here". Two more may say how
-    large objects are.
+    large objects are, and two more where their middles are.
     """
-    n_of_map = (n_classes + 1, n_classes + 3)
+    n_of_map = [n_classes + 1 + n for n in (0, *OF_BOXES)]
     is_map = len(logits) == 3 and logits[0] in n_of_map and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(
             f"the network must compute {n_classes} logits, one for each class, or a map of "
             f"{n_classes + 1} channels, one for each class and the last for nothing, or of "
-            f"{n_classes + 3}, with two more for the width and height of objects; got {logits}"
+            f"{n_classes + 3}, with two more for the width and height of objects, or of "
+            f"{n_classes + 5}, with two more for their middles; got {logits}"
         )
     if is_map and config.transform != "none":
         raise ValueError(
