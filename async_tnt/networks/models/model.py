@@ -35,6 +35,7 @@ from async_tnt.networks.layers.reach import Work, work_of_one_event
 from async_tnt.networks.models.features import FEATURES, layers_up_to
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import OF_BOXES, Places, n_of_boxes, places_of
+from async_tnt.networks.models.scaled_volume import with_scaled_volume
 from async_tnt.networks.spiking.operations import (
     NEURONS,
     SPIKING_OPERATIONS,
@@ -42,6 +43,7 @@ from async_tnt.networks.spiking.operations import (
 )
 from async_tnt.networks.spiking.outputs import check_spiking_outputs, outputs_of
 from async_tnt.volume.config import WINDOW_US, TNTConfig
+from async_tnt.volume.sensor import Sensor
 
 if TYPE_CHECKING:
     from torch import nn
@@ -66,6 +68,16 @@ CENTROID = "heatmap_centroid"
 """The operation of a landmark network's last layer."""
 
 
+GRID_STEP = 8
+"""The sides of a grid that `for_sensor` chooses for a model that is `by_share` are multiples of it.
+So maps of half the size can be spread to the whole again."""
+
+
+def in_grid_steps(cells: float) -> int:
+    """The multiple of `GRID_STEP` that is nearest to a number of cells; at least one step."""
+    return GRID_STEP * max(1, round(cells / GRID_STEP))
+
+
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
     """A network and how events become the volume that it reads.
@@ -88,6 +100,8 @@ class Model:
         through.
     outputs : name of an output -> the layer of "classifier" that computes it. Only for a model
         without classes.
+    by_share : only for a map model: whether it knows objects by the share of the sensor that they
+        fill, and not by their pixels, see `for_sensor`.
 
     Raises
     ------
@@ -103,6 +117,7 @@ class Model:
     record: Mapping[str, Any] = field(default_factory=dict)
     network: Network = field(kw_only=True)
     outputs: Mapping[str, str] = field(default_factory=dict, kw_only=True)
+    by_share: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         is_ordered = isinstance(self.classes, Iterable) and not isinstance(
@@ -124,6 +139,10 @@ class Model:
         shapes = _checked_shapes(self.network, weights, self.config, self.outputs)
         if not self.outputs:
             _check_logits(list(shapes.values())[-1], len(self.classes), self.config)
+        if type(self.by_share) is not bool:
+            raise ParameterTypeError("by_share", "must be a bool", short(self.by_share))
+        if self.by_share and self.places is None:
+            raise ParameterValueError("by_share", "is for a model that finds objects")
 
     @property
     def is_spiking(self) -> bool:
@@ -349,6 +368,7 @@ class Model:
             classes=(),
             network=network,
             outputs={FEATURES: network[CLASSIFIER][-1]["name"]},
+            by_share=False,
         )
 
     @property
@@ -368,10 +388,16 @@ class Model:
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
         """A model with the same network for another sensor, at the same scale.
 
-        One pixel of the sensor still becomes as many pixels of the grid as before. This is meant
-        for map models, and for other networks that have only convolutions and poolings. A pooling
-        that had `ceil_mode` in torch keeps the padding that was computed for the first sensor. A
-        pooling that had None as one side in torch keeps the side that was computed for it.
+        One pixel of the sensor still becomes as many pixels of the grid as before. If the model is
+        `by_share`, the shorter side of the sensor does instead, so that objects that fill the same
+        share of it are as large on the grid. Then both sides of the grid are multiples of
+        `GRID_STEP`. A cell counts the mean over its pixels: where there are n times as many pixels
+        in a cell as before, the network reads the volume divided by n.
+
+        This is meant for map models, and for other networks that have only convolutions and
+        poolings. A pooling that had `ceil_mode` in torch keeps the padding that was computed for
+        the first sensor. A pooling that had None as one side in torch keeps the side that was
+        computed for it.
 
         Parameters
         ----------
@@ -383,6 +409,8 @@ class Model:
         """
         if len(sensor) != 2:
             raise ParameterValueError("sensor", "must be (width, height)", short(sensor))
+        if self.by_share:
+            return self._at_same_share((sensor[0], sensor[1]))
         grid = []
         for own_grid, own_side, side in zip(
             self.config.grid, self.config.sensor, sensor, strict=True
@@ -390,6 +418,28 @@ class Model:
             scale = own_grid / own_side
             grid.append(max(2, round(scale * side)))
         return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=tuple(grid)))
+
+    def _at_same_share(self, sensor: Sensor) -> Model:
+        """`for_sensor` of a model that is `by_share`."""
+        cells = min(self.config.grid) / min(sensor)
+        grid = (in_grid_steps(cells * sensor[0]), in_grid_steps(cells * sensor[1]))
+        config = self.config.replace(sensor=sensor, grid=grid)
+        if config == self.config:
+            return self
+        pixels = [_pixels_a_cell(one) for one in (self.config, config)]
+        layers, tensors = with_scaled_volume(
+            CLASSIFIER,
+            self.network[CLASSIFIER],
+            self.weights,
+            config.channels,
+            pixels[0] / pixels[1],
+        )
+        return replace(
+            self,
+            config=config,
+            weights={**self.weights, **tensors},
+            network={**self.network, CLASSIFIER: layers},
+        )
 
     @property
     def multiplications(self) -> int:
@@ -454,7 +504,7 @@ class Model:
     def description(self) -> dict[str, str]:
         """The metadata of a file: format, and configuration, classes and record as JSON.
 
-        Those of a model of raw outputs have `outputs`, too.
+        Those of a model of raw outputs have `outputs`, too, and `by_share` those of such a model.
 
         Raises
         ------
@@ -464,6 +514,8 @@ class Model:
         values["record"] = self.record
         if self.outputs:
             values["outputs"] = self.outputs
+        if self.by_share:
+            values["by_share"] = True
         file_format = FORMAT_OF_OUTPUTS if self.outputs else FORMAT
         if self.is_spiking:
             file_format = FORMAT_OF_SPIKES
@@ -503,6 +555,12 @@ def layers_of(model: Model, network: str) -> Sequence[Layer]:
         )
         raise ParameterValueError("model", rule)
     return model.network[network]
+
+
+def _pixels_a_cell(config: TNTConfig) -> float:
+    """The number of pixels in a cell of the grid, away from the border."""
+    sides = zip(config.sensor, config.grid, strict=True)
+    return math.prod((side - 1) / (cells - 1) for side, cells in sides)
 
 
 # -- what a model has to be ------------------------------------------------------------------------

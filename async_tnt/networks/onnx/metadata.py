@@ -78,7 +78,7 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
         expected = f"{FORMAT!r} or {FORMAT_OF_OUTPUTS!r}"
         raise ValueError(f"metadata `format` must be {expected}, got {file_format!r}")
     try:
-        config, classes, record, outputs = read_description(metadata)
+        config, classes, record, outputs, _ = read_description(metadata)
         layers = parse_metadata({"network": metadata.get("network", "")}, "network")
     except TypeError as error:
         raise ValueError(str(error)) from None
