@@ -160,6 +160,7 @@ def read_data(
     pictures = folder / "pictures"
     if not pictures.is_dir():
         write_drawn(pictures, n_pictures)
+    (folder / "recordings").mkdir(exist_ok=True)
     volume = VolumeChoice.of(
         window_us=WINDOW_US, representation="volume", bins=5, polarity="split", transform="none"
     )
