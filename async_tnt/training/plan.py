@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +70,12 @@ class Plan:
         ValueError, OSError : see `load_checkpoint`.
         """
         settings = self._settings(self.volume.config, 1)
-        known: Mapping[str, Any] = {"seed": settings.seed, "network": settings.network}
-        load_checkpoint(run_folder, {**self.volume.known(sensor), **known})
+        known = self.volume.known(sensor)
+        if self.scales is not None:  # a run knows the sensor and the grid that are cut out
+            known.pop("sensor", None)
+            known.pop("grid", None)
+        known |= {"seed": settings.seed, "network": settings.network}
+        load_checkpoint(run_folder, known)
 
     def settings_for(self, data: TrainingData) -> TrainSettings:
         """The settings with which to train on a data set.

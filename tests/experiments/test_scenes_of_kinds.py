@@ -121,3 +121,65 @@ def test_a_scene_depends_on_seed_sensor_and_number_alone():
     for other in (scenes.made_scene(4, SENSOR, 1), scenes.made_scene(3, SENSOR, 2)):
         assert len(other.columns["t"]) != len(first.columns["t"])
     assert scenes.TUNING_SEED != scenes.FINAL_SEED
+
+
+def test_pictures_of_the_kinds_are_cut_out_and_differ(tmp_path):
+    pytest.importorskip("PIL", reason="pictures need Pillow")
+    from async_tnt.simulation.pictures import read_picture
+    from experiments.pictures import drawn
+
+    drawn.write_drawn(tmp_path, 2)
+    paths = sorted(tmp_path.glob("*/*.png"))
+    assert [path.parent.name for path in paths[::2]] == list(kinds.KINDS)
+    pictures = [read_picture(path) for path in paths]
+    for one, other in zip(pictures[::2], pictures[1::2], strict=True):
+        assert one.ground is None  # transparent
+        assert 0.1 < one.cover.mean() < 0.95
+        assert one.light[one.cover == 1].std() < 0.01  # one grey
+        assert one.cover.shape != other.cover.shape or (one.cover != other.cover).any()
+    again = drawn.write_drawn(tmp_path / "again", 2)
+    for path in paths:
+        assert path.read_bytes() == (again / path.parent.name / path.name).read_bytes()
+
+
+def test_scores_of_a_model_that_knows_and_of_one_that_does_not(tmp_path):
+    """A made model of one class says the same box everywhere; scenes are read from files again."""
+    torch = pytest.importorskip("torch", reason="networks are made with torch")
+    pytest.importorskip("pycocotools", reason="scores of boxes need the extra `boxes`")
+    from dataclasses import replace
+
+    from async_tnt import Model, TNTConfig
+    from experiments import object_scales
+
+    config = TNTConfig(
+        sensor=(48, 32), grid=(48, 32), bins=5, polarity="split", transform="none"
+    ).replace(window_us=100_000)
+    n_classes = len(kinds.KINDS)
+    net = torch.nn.Conv2d(config.channels, n_classes + 5, 8, 8)
+    with torch.no_grad():
+        net.weight.zero_()
+        net.bias.zero_()
+        net.bias[n_classes] = 9.0
+    nothing = replace(Model.from_torch(net, config, list(kinds.KINDS)), by_share=True)
+    some = object_scales.Scenes(9, SENSOR, 2, tmp_path / "scenes")
+    ticks = []
+    found = object_scales.score(nothing, some, lambda: ticks.append(1))
+    assert len(ticks) == 2 and list(found) == ["10", "30", "50", "100", "f1_of_kinds"]
+    assert found["100"]["map"] == 0.0 and found["100"]["f1"] == 0.0
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").iterdir()}
+    assert len(files) == 2
+    for (columns, labels, boxes), number in zip(some, range(2), strict=True):
+        scene = scenes.made_scene(9, SENSOR, number)
+        assert labels == scene.labels
+        np.testing.assert_array_equal(boxes[-1], scene.boxes(100_000))
+        np.testing.assert_array_equal(columns[1], scene.columns["x"])
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").iterdir()} == files
+    # of boxes as they are, every score is 1
+    table = object_scales._table(boxes[-1], [list(kinds.KINDS).index(k) for k in labels], 100)
+    middle = table.middle
+    whole = np.column_stack(
+        [middle, np.full(len(middle), 0.9), table.label, np.arange(len(middle)), table.size]
+    )
+    perfect = object_scales.FoundBoxes()
+    perfect.add(table, slice(None), whole)
+    assert perfect.scores(list(kinds.KINDS))["map"] == 1.0
