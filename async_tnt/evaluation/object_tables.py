@@ -126,8 +126,8 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
         )
     if not pairs:
         raise ValueError(
-            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}, and "
-            f"no sequences with {TRACKS.as_posix()}"
+            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}, "
+            f"and no sequences with {TRACKS.as_posix()}"
         )
     return pairs
 

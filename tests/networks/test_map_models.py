@@ -676,6 +676,15 @@ def test_a_stream_through_a_model_by_share_has_the_bits_of_whole_maps(counting, 
         assert processor.fire().logits.tobytes() == expected.tobytes()
 
 
+def test_an_exported_model_is_by_share_when_it_is_read_again(counting, tmp_path):
+    wide = counting.for_sensor((100, 60))
+    path = tmp_path / "m.onnx"
+    path.write_bytes(to_onnx(wide).SerializeToString())
+    again = load_model(path)
+    assert again.by_share
+    assert again.for_sensor((48, 24)).config.grid == wide.for_sensor((48, 24)).config.grid
+
+
 def test_only_a_model_of_objects_knows_them_by_share():
     with pytest.raises(ValueError, match="`by_share` is for a model that finds objects"):
         replace(random_model(CONFIG), by_share=True)
