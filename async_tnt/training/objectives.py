@@ -237,11 +237,14 @@ LEFT_OUT_OF_SIZES = 0.25
 OBJECT_WEIGHT = 4.0
 """Weight in the loss of a place whose target is a class. A place whose target is nothing has weight
 1."""
+OBJECT_WEIGHT_OF_SIZES = 16.0
+"""What `OBJECT_WEIGHT` is for objects of many sizes, of which most have a single place among more
+than a thousand."""
 LEAST_SIZE_PX = 1.0
 """The least width and height of an object from which the size is learned."""
 SIZE_WEIGHT = 0.1
 """Weight of the mean loss of sizes, beside the mean loss of classes."""
-BOX_WEIGHT = 1.0
+BOX_WEIGHT = 0.5
 """Weight of the mean loss of sizes and middles, beside the mean loss of classes."""
 
 
@@ -356,10 +359,12 @@ class ObjectsInScenes:
         extents = np.full(len(log_sizes), float(self._shorter))
         reach = REACH
         left_out = LEFT_OUT
+        object_weight = OBJECT_WEIGHT
         if self._has_extents:
             extents = np.maximum(_extents(scenes.size)[:, 0], LEAST_SIZE_PX)
             reach = REACH_OF_SIZES
             left_out = LEFT_OUT_OF_SIZES
+            object_weight = OBJECT_WEIGHT_OF_SIZES
         for scene, label, (x, y), log_size, extent in zip(
             scenes.scene, scenes.label, scenes.position, log_sizes, extents, strict=True
         ):
@@ -380,7 +385,7 @@ class ObjectsInScenes:
             boxes[scene, rows_of, columns_of, 2] = aside[columns_of]
             boxes[scene, rows_of, columns_of, 3] = down[rows_of]
         weight[nearest <= left_out] = 0.0
-        weight[target < nothing] = OBJECT_WEIGHT
+        weight[target < nothing] = object_weight
         return target, weight, boxes
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:

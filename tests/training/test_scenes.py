@@ -534,9 +534,9 @@ def test_targets_reach_as_far_as_the_objects_are_large(monkeypatch):
     )
     target, weight, boxes = objects._targets(scenes)
     assert target[0, 20, 8:13].tolist() == [3, 3, 2, 3, 3]
-    assert weight[0, 20, 8:14].tolist() == [1, 1, 4, 0, 1, 1]
+    assert weight[0, 20, 8:14].tolist() == [1, 1, 16, 0, 1, 1]
     assert target[0, 20, 37:44].tolist() == [3, 0, 0, 0, 0, 0, 3]
-    assert weight[0, 20, 34:39].tolist() == [1, 0, 0, 0, 4]
+    assert weight[0, 20, 34:39].tolist() == [1, 0, 0, 0, 16]
     np.testing.assert_allclose(boxes[0, 20, 10], [np.log(4), np.log(2), 0.3, 0], atol=1e-6)
     np.testing.assert_allclose(boxes[0, 19, 42], [np.log(16), np.log(8), -2, 1], atol=1e-6)
 
@@ -552,5 +552,6 @@ def test_the_loss_of_middles_is_in_sizes_of_the_object(monkeypatch):
     found = wanted + torch.tensor([[0.0, 0.0, 2.0, 0.1]])
     # 2 / 4 = .5 of the width is beyond the square's reach of .1, and .1 / 2 = .05 of the height not
     expected = ((0.5 - 0.05) + 0.05**2 / 0.2) / 2
+    expected *= objectives.BOX_WEIGHT
     assert objects._of_boxes == 4
     assert float(objects._loss_of_boxes(found, wanted)) == pytest.approx(expected, rel=1e-5)
