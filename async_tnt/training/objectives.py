@@ -244,7 +244,7 @@ LEAST_SIZE_PX = 1.0
 """The least width and height of an object from which the size is learned."""
 SIZE_WEIGHT = 0.1
 """Weight of the mean loss of sizes, beside the mean loss of classes."""
-BOX_WEIGHT = 0.5
+BOX_WEIGHT = 1.0
 """Weight of the mean loss of sizes and middles, beside the mean loss of classes."""
 
 

@@ -21,7 +21,9 @@ An object with fewer than `FEWEST` events by the scene's end does not count as a
 
 Scenes of objects of many sizes (`Scales`) have a sensor of a stated size. Each recording shows an
 object of another size, cut out of such a sensor. So these scenes have more objects,
-`OBJECTS_OF_SIZES`, and distances between objects are in shares of their own sizes.
+`OBJECTS_OF_SIZES`, and distances between objects are in shares of their own sizes. An object counts
+if its box has more events than the noise around it, by `FEWEST_A_PX` for each pixel of the box's
+border.
 """
 
 from __future__ import annotations
@@ -48,6 +50,8 @@ OBJECTS = 2.5
 """Average number of objects in a scene."""
 FEWEST = 10
 """Fewest events of a recording that counts as an object."""
+FEWEST_A_PX = 0.2
+"""Fewest events of an object of any size that counts as one, for each pixel of its box's border."""
 APART = 0.4
 """Least distance between two objects, as a share of a recording's shorter side."""
 OBJECTS_OF_SIZES = 4.5
@@ -203,8 +207,8 @@ class SceneMaker:
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         crops = self._crop_volumes(windows, draws)
         # the absolute sum of a volume is about the number of its events
-        has_events = np.abs(crops).sum((1, 2, 3)) >= FEWEST
-        is_object = (draws.content == SHOWN) & has_events
+        events_of_cells = np.abs(crops).sum(1)
+        has_events = events_of_cells.sum((1, 2)) >= FEWEST
 
         # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
         # `fine` times finer than the recording's.
@@ -222,6 +226,10 @@ class SceneMaker:
         extents = np.full(n, float(self._shorter))
         if self._has_sizes:
             extents = sizes.max(axis=1) / OF_RECORDING
+            cells = np.array(self.crops.to_grid(1, 1))
+            more = _more_than_around(events_of_cells, middles * cells, sizes * cells)
+            has_events &= more >= FEWEST_A_PX * 2 * sizes.sum(axis=1)
+        is_object = (draws.content == SHOWN) & has_events
 
         volumes = self._noise(n_scenes, until_us, rng)
         position = np.full((n, 2), np.inf)  # inf: the window is not in a scene
@@ -329,6 +337,35 @@ def scenes_of(config: TNTConfig) -> TNTConfig:
     return config.replace(
         sensor=(SIDES * width, SIDES * height), grid=(SIDES * columns, SIDES * rows)
     )
+
+
+def _more_than_around(events: np.ndarray, middles: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """How many more events are in boxes than as many cells around them have: float64, (N,).
+
+    The cells around a box are those of a box that is twice as wide and high.
+
+    Parameters
+    ----------
+    events : (N, H, W), the number of events of each cell of N volumes.
+    middles, sizes : float64, (N, 2) each: a box in each volume, in cells.
+    """
+    end = np.array(events.shape[:0:-1])  # width and height
+    inner_and_outer = []
+    for scale in (0.5, 1.0):
+        low = np.clip(np.rint(middles - scale * sizes), 0, end).astype(int)
+        high = np.clip(np.rint(middles + scale * sizes) + 1, 0, end).astype(int)
+        inside = np.array(
+            [
+                of_cells[y0:y1, x0:x1].sum()
+                for of_cells, (x0, y0), (x1, y1) in zip(events, low, high, strict=True)
+            ],
+            np.float64,
+        )
+        inner_and_outer.append((inside, np.maximum(high - low, 0).prod(axis=1)))
+    (inside, area), (with_border, larger_area) = inner_and_outer
+    around = (with_border - inside) / np.maximum(larger_area - area, 1)
+    more: np.ndarray = inside - around * area
+    return more
 
 
 def _boxes_of_outlines(windows: Windows, times_us: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -130,7 +130,8 @@ def test_pictures_of_the_kinds_are_cut_out_and_differ(tmp_path):
 
     drawn.write_drawn(tmp_path, 2)
     paths = sorted(tmp_path.glob("*/*.png"))
-    assert [path.parent.name for path in paths[::2]] == list(kinds.KINDS)
+    assert sorted({path.parent.name for path in paths}) == sorted([*kinds.KINDS, drawn.OTHER])
+    assert len(paths) == 2 * (len(kinds.KINDS) + 2)
     pictures = [read_picture(path) for path in paths]
     for one, other in zip(pictures[::2], pictures[1::2], strict=True):
         assert one.ground is None  # transparent

@@ -450,8 +450,8 @@ def test_scenes_of_objects_of_many_sizes_have_the_boxes_of_their_outlines(no_noi
             side = 4 if k % 2 else 12
             middles = 20 + np.stack([np.linspace(-3, 3, 4), np.zeros(4)], axis=1)
             outline = (side * corners + middles[:, None]).astype(np.float32)
-            t = np.sort(rng.integers(0, 1000, 200))
-            x, y = rng.integers(10, 30, (2, 200))
+            t = np.sort(rng.integers(0, 400, 200))
+            x, y = rng.integers(20 - side // 2, 20 + side // 2, (2, 200))
             writer.add(events_of(t, x, y, t % 2), k % 2, str(k), outline, 1000)
         made = writer.finish()
     windows = Windows(made, np.arange(30), np.zeros(30, np.int64))
@@ -555,3 +555,32 @@ def test_the_loss_of_middles_is_in_sizes_of_the_object(monkeypatch):
     expected *= objectives.BOX_WEIGHT
     assert objects._of_boxes == 4
     assert float(objects._loss_of_boxes(found, wanted)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_what_a_box_has_more_than_the_cells_around_it():
+    events = np.zeros((3, 20, 30))
+    events[:] = 0.5  # noise
+    events[1, 8:12, 10:20] += 3
+    middles = np.array([[14.5, 9.5], [14.5, 9.5], [0.0, 9.5]])
+    sizes = np.array([[9.0, 3.0]] * 3)
+    more = module._more_than_around(events, middles, sizes)
+    np.testing.assert_allclose(more, [0.0, 3 * 4 * 10, 0.0], atol=1e-9)
+
+
+def test_an_object_of_any_size_that_does_not_stand_out_of_the_noise_is_not_there(no_noise):
+    """Objects with noise around them, and objects with events of their own."""
+    rng = np.random.default_rng(0)
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    outline = np.tile(10 * corners + 20, (2, 1, 1)).astype(np.float32)
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40))
+    whole = CONFIG.replace(sensor=(120, 80), grid=(120, 80))
+    with RecordingsWriter() as writer:
+        for k in range(20):
+            t = np.sort(rng.integers(0, 1000, 120))
+            x, y = rng.integers(5, 35, (2, 120))
+            if k % 2:
+                x[:60], y[:60] = rng.integers(15, 26, (2, 60))
+            writer.add(events_of(t, x, y, t % 2), k % 2, str(k), outline, 1000)
+        windows = Windows(writer.finish(), np.arange(20), np.zeros(20, np.int64))
+    scenes = SceneMaker(config, whole)(windows, unchanged(20, config), np.random.default_rng(0))
+    assert (scenes.label == 1).all() and len(scenes.label) > 5
