@@ -7,7 +7,7 @@ A network learns from pictures alone: from PNG files of eight kinds of drawn obj
 and 80 of other things, which are a class that is not scored (`pictures/drawn.py`). The same is
 done by
 
-    async-tnt train pictures --everywhere --sensor 240x180 --scales 0.083-0.333 --window-us 100000
+    async-tnt train pictures --everywhere --sensor 240x180 --scales 0.083-0.333 --window-us 50000
         --volume representation=volume,bins=5,polarity=split,transform=none
 
 It is scored in scenes of other objects of these kinds (`objects/scenes.py`), which share no code
@@ -46,10 +46,13 @@ from async_tnt.training.settings import TrainSettings
 from async_tnt.training.training_data import TrainingData
 from async_tnt.volume.sensor import format_size
 from experiments.objects.kinds import KINDS
-from experiments.objects.scenes import FINAL_SEED, SENSORS, TUNING_SEED, WINDOW_US, made_scene
+from experiments.objects.scenes import FINAL_SEED, SENSORS, TUNING_SEED, made_scene
 from experiments.pictures.drawn import OTHER, write_drawn
 from experiments.scripts.options import add_count, exit_with, script_parser, write_outputs
 from experiments.speed.timing import machine
+
+LEARNED_US = 50_000
+"""Length of the model's windows, in microseconds. A scene has two of them."""
 
 SCALES = (0.083, 0.333)
 """Least and largest longer side of the objects, as shares of the sensor's shorter side."""
@@ -164,7 +167,7 @@ def read_data(
         write_drawn(pictures, n_pictures)
     (folder / "recordings").mkdir(exist_ok=True)
     volume = VolumeChoice.of(
-        window_us=WINDOW_US, representation="volume", bins=5, polarity="split", transform="none"
+        window_us=LEARNED_US, representation="volume", bins=5, polarity="split", transform="none"
     )
     plan = Plan(volume, epochs=epochs, seed=seed, everywhere=True, has_pictures=True, scales=SCALES)
     data = dataset_data(

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -240,6 +241,12 @@ OBJECT_WEIGHT = 4.0
 OBJECT_WEIGHT_OF_SIZES = 16.0
 """What `OBJECT_WEIGHT` is for objects of many sizes, of which most have a single place among more
 than a thousand."""
+LISTED_WEIGHT_OF_SIZES = 2.0
+"""The weight of objects of many sizes with which the finished model decides what it lists.
+
+A larger weight in the loss makes a network learn faster that there are objects, but it would also
+list what is likely nothing. So the loss sees the logit of nothing less the logarithm of the ratio
+of both weights (logit adjustment, Menon et al. 2021, arXiv:2007.07314)."""
 LEAST_SIZE_PX = 1.0
 """The least width and height of an object from which the size is learned."""
 SIZE_WEIGHT = 0.1
@@ -314,6 +321,11 @@ class ObjectsInScenes:
         scenes = self._maker(windows, draws, rng)
         maps = pipeline.classify(torch.from_numpy(scenes.volumes))
         logits = maps[:, : self._nothing + 1]
+        if self._has_extents:
+            ratio = OBJECT_WEIGHT_OF_SIZES / LISTED_WEIGHT_OF_SIZES
+            less = torch.zeros(1, self._nothing + 1, 1, 1, device=logits.device)
+            less[:, self._nothing] = math.log(ratio)
+            logits = logits - less
         targets, weights, boxes = self._targets(scenes)
         target = torch.from_numpy(targets)
         weight = torch.from_numpy(weights).to(logits.device)

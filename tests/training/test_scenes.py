@@ -584,3 +584,27 @@ def test_an_object_of_any_size_that_does_not_stand_out_of_the_noise_is_not_there
         windows = Windows(writer.finish(), np.arange(20), np.zeros(20, np.int64))
     scenes = SceneMaker(config, whole)(windows, unchanged(20, config), np.random.default_rng(0))
     assert (scenes.label == 1).all() and len(scenes.label) > 5
+
+
+def test_the_loss_of_objects_of_many_sizes_sees_nothing_less(monkeypatch):
+    """A network that gives all places the same logits; by hand from its targets and weights."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    logits = [0.5, 2.0, -1.0, 1.0]
+    with torch.no_grad():
+        net[0].weight.zero_()
+        net[0].bias.copy_(torch.tensor(logits))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(9)
+    whole = CONFIG.replace(sensor=(60, 48), grid=(60, 48))
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c"), whole
+    )
+    seen = []
+    targets_of = objects._targets
+    monkeypatch.setattr(objects, "_targets", lambda some: seen.append(targets_of(some)) or seen[-1])
+    found = objects.loss(Pipeline(CONFIG, net), windows, unchanged(9, CONFIG))
+    ((target, weight, _),) = seen
+    adjusted = np.array(logits) - [0, 0, 0, np.log(16 / 2)]
+    losses = np.log(np.exp(adjusted).sum()) - adjusted
+    expected = (losses[target] * weight).sum() / weight.sum()
+    assert found.loss.item() == pytest.approx(expected, rel=1e-5)
