@@ -120,6 +120,13 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
         "(default: 0.4-0.8)",
     )
     group.add_argument(
+        "--scales",
+        type=_range,
+        metavar="MIN-MAX",
+        help="instead of --size, with --everywhere: objects of many sizes in scenes of the sensor; "
+        "their longer side, as a share of the sensor's shorter side (such as 0.08-0.33)",
+    )
+    group.add_argument(
         "--camera",
         type=user_path,
         metavar="RECORDING",
@@ -159,13 +166,6 @@ def _add_network(group: argparse._ActionsContainer) -> None:
         "--everywhere",
         action="store_true",
         help="a model that finds objects anywhere; it learns from scenes of several recordings",
-    )
-    group.add_argument(
-        "--scales",
-        type=_range,
-        metavar="MIN-MAX",
-        help="with --everywhere and pictures: objects of many sizes in scenes of the sensor; their "
-        "longer side, as a share of the sensor's shorter side (such as 0.08-0.33)",
     )
     group.add_argument(
         "--network",

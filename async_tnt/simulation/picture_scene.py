@@ -307,8 +307,7 @@ def _scene(
 ) -> tuple[PeriodicImage, np.ndarray]:
     """The object in its surroundings, as log luminance, seen through a lens, and its outline.
 
-    The outline is (P, 2) points (x, y) of the object where the scene shows it without motion, in
-    sensor pixels.
+    The outline is (P, 2) points (x, y) of the object before its motion, in sensor pixels.
 
     Parameters
     ----------

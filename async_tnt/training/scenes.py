@@ -210,19 +210,8 @@ class SceneMaker:
         events_of_cells = np.abs(crops).sum(1)
         has_events = events_of_cells.sum((1, 2)) >= FEWEST
 
-        # Augmentation moves an object's middle as it moves the object's events: on a sensor that is
-        # `fine` times finer than the recording's.
-        fine = 1.0
-        if draws.sensor != self.crops.sensor:
-            fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
         ends_us = until_us[scene] - later_us
-        boxes = _boxes_of_outlines(recorded, since_us + ends_us, draws.matrix)
-        is_unknown = np.isnan(boxes).any(axis=(0, 2))
-        if is_unknown.any():
-            boxes[:, is_unknown] = _boxes_of_events(
-                windows[is_unknown], ends_us[is_unknown], draws.matrix[is_unknown]
-            )
-        middles, sizes = boxes / fine
+        middles, sizes = self._boxes(recorded, windows, since_us, ends_us, draws)
         extents = np.full(n, float(self._shorter))
         if self._has_sizes:
             extents = sizes.max(axis=1) / OF_RECORDING
@@ -248,6 +237,37 @@ class SceneMaker:
             position[is_object],
             sizes[is_object],
         )
+
+    def _boxes(
+        self,
+        recorded: Windows,
+        cut: Windows,
+        since_us: np.ndarray,
+        ends_us: np.ndarray,
+        draws: Draws,
+    ) -> np.ndarray:
+        """The boxes of N objects on the sensor of recordings: float64, (2, N, 2).
+
+        Middles (x, y) stand first, then sizes.
+
+        Parameters
+        ----------
+        recorded, cut : the objects' windows, and the same from `Windows.cut`.
+        since_us : int64, (N,), the beginning of each window in its recording.
+        ends_us : int64, (N,), the moment of each box, in microseconds since the window's beginning.
+        draws : the augmentation, which moves boxes as it moves events.
+        """
+        boxes = _boxes_of_outlines(recorded, since_us + ends_us, draws.matrix)
+        is_unknown = np.isnan(boxes).any(axis=(0, 2))
+        if is_unknown.any():
+            boxes[:, is_unknown] = _boxes_of_events(
+                cut[is_unknown], ends_us[is_unknown], draws.matrix[is_unknown]
+            )
+        # augmented events are on a sensor that is `fine` times finer than the recordings'
+        fine = 1.0
+        if draws.sensor != self.crops.sensor:
+            fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
+        return boxes / fine
 
     def _place(
         self, taken: np.ndarray, extents: np.ndarray, rng: np.random.Generator
