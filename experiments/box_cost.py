@@ -6,7 +6,7 @@ MODEL is a map model that says sizes; by default the bundled `digits-everywhere`
 channels of random weights. The model of points is the same without these channels. Both see the
 same moving recordings on two sensors, and take turns: 300 events that are not timed, then one event
 and the decision. The classes and places of the objects must be equal, up to those that boxes
-suppress.
+suppress; of a model that says where the middles of boxes are, the classes and probabilities.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def with_sizes(model: Model) -> Model:
 
 
 def without_sizes(model: Model) -> Model:
-    """The same model without the two channels of sizes."""
+    """The same model without the channels of boxes."""
     n = len(model.classes) + 1
     *_, last = model.layers
     weights = dict(model.weights)
@@ -69,6 +69,7 @@ def without_sizes(model: Model) -> Model:
 def measure(model: Model, n_moments: int) -> dict[str, Any]:
     """Microseconds of a decision after one event, and the ratio of both models."""
     report = {}
+    n_of_boxes = model.logits_shape[0] - len(model.classes) - 1
     with progress(len(SENSORS) * n_moments, "decisions") as bar:
         for sensor in SENSORS:
             n = (N_BEFORE + 1) * n_moments
@@ -93,7 +94,7 @@ def measure(model: Model, n_moments: int) -> dict[str, Any]:
                         processor.push(one)
                         answers[name] = processor.fire()
                         us[name].append(1e6 * (time.perf_counter() - started))
-                    _check(answers)
+                    _check(answers, n_of_boxes)
                     n_objects += len(answers["boxes"].objects or ())
                     bar.update()
             warm = {name: np.array(values[n_moments // 10 :]) for name, values in us.items()}
@@ -106,11 +107,20 @@ def measure(model: Model, n_moments: int) -> dict[str, Any]:
     return report
 
 
-def _check(answers: dict[str, Any]) -> None:
-    """Refuse boxes that are not at places where the other model has an object of the class."""
-    points = {(one.label, one.probability, one.x, one.y) for one in answers["points"].objects}
+def _check(answers: dict[str, Any], n_of_boxes: int) -> None:
+    """Refuse boxes that are not at places where the other model has an object of the class.
+
+    n_of_boxes : number of channels of boxes. With four of them, a box has another middle than the
+        point; then its class and probability must be those of a point.
+    """
+
+    def key(one: Any) -> tuple[Any, ...]:
+        place = (one.x, one.y) if n_of_boxes == 2 else ()
+        return (one.label, one.probability, *place)
+
+    points = {key(one) for one in answers["points"].objects}
     for one in answers["boxes"].objects:
-        if (one.label, one.probability, one.x, one.y) not in points:
+        if key(one) not in points:
             raise WorkDiffers("a box is not where the same network without sizes finds an object")
 
 

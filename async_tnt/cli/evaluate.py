@@ -52,7 +52,8 @@ The class of a recording is the one with the highest mean probability over its w
 Recordings that cannot be read, and empty ones, are skipped and named at the end.
 
 A model that finds objects needs recordings with a table of objects: NAME_objects.csv
-(t, class, x, y, or boxes x, y, w, h) or Prophesee's NAME_bbox.npy. For each time in the
+(t, class, x, y, or boxes x, y, w, h), Prophesee's NAME_bbox.npy, or sequences of
+DSEC-Detection with their object_detections/left/tracks.npy. For each time in the
 table, the model sees the window that ends there. An object of the table is found if the
 model sees its class within 5 pixels of its point, or within the ellipse that touches
 the sides of its box. The report also says how many are found earlier in the window.

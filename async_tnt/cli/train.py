@@ -125,8 +125,8 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
         )
     if find_pictures(args.dataset):
         _check_options_of_pictures(args)
-    elif args.camera or args.size != SceneSettings.size:
-        raise ValueError("--camera and --size are for pictures; DATASET holds none")
+    elif args.camera or args.scales or args.size != SceneSettings.size:
+        raise ValueError("--camera, --size and --scales are for pictures; DATASET holds none")
     if args.test and not has_test(args.dataset):
         raise FileNotFoundError(
             f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither"
@@ -158,6 +158,10 @@ def _check_options_of_pictures(args: argparse.Namespace) -> None:
         raise ValueError(
             "--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too"
         )
+    if args.scales and not args.everywhere:
+        raise ValueError("--scales is for --everywhere, which makes scenes of objects")
+    if args.scales and args.size != SceneSettings.size:
+        raise ValueError("--size is for objects of one recording each: give --scales alone")
     test = args.dataset / "Test"
     if args.test and test.is_dir() and find_pictures(test):
         raise ValueError(
@@ -228,6 +232,7 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
         everywhere=args.everywhere,
         mirror=args.mirror,
         has_pictures=bool(find_pictures(args.dataset)),
+        scales=args.scales,
     )
     plan.check()
     split = Split(args.validation, args.groups, args.test, args.seed)
@@ -241,6 +246,7 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
         reading=ReadOptions(**reading_of(args)),
         split=split,
         scenes={"size": args.size, "camera": camera},
+        scales=args.scales,
         work=Work(run_folder, available_cores(), progress),
     )
     return data, plan.settings_for(data)

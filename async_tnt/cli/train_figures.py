@@ -46,7 +46,7 @@ def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> N
     if fields["camera"] is not None:
         fields["camera"] = MeasuredPixels(**fields["camera"])
     fields["sensor"] = sensor
-    fields["size"] = args.size
+    fields["size"] = tuple(fields["size"])
     examples = example_recordings(find_pictures(args.dataset), SceneSettings(**fields), args.seed)
     with styled():
         save(draw_recorded_pictures(examples, sensor), path)

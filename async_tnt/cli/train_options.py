@@ -120,6 +120,13 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
         "(default: 0.4-0.8)",
     )
     group.add_argument(
+        "--scales",
+        type=_range,
+        metavar="MIN-MAX",
+        help="instead of --size, with --everywhere: objects of many sizes in scenes of the sensor; "
+        "their longer side, as a share of the sensor's shorter side (such as 0.08-0.33)",
+    )
+    group.add_argument(
         "--camera",
         type=user_path,
         metavar="RECORDING",
@@ -163,8 +170,9 @@ def _add_network(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--network",
         metavar="NAME",
-        help="residual (default), wide, conv4, separable, thesis, map (with --everywhere), or "
-        "FILE.py:FUNCTION, a function of yours of channels, (width, height) and n_classes",
+        help="residual (default), wide, conv4, separable, thesis; with --everywhere map (default) "
+        "or pyramid (default with --scales); or FILE.py:FUNCTION, a function of yours of channels, "
+        "(width, height) and n_classes",
     )
     group.add_argument(
         "--epochs",

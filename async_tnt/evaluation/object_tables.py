@@ -1,11 +1,24 @@
-"""Tables of the objects that recordings show. A table is a file beside the recording NAME.*.
+"""Tables of the objects that recordings show.
+
+A table is a file beside the recording NAME.*, or, of DSEC-Detection, in a folder beside that of the
+recording.
 
 NAME_objects.csv  A row for each object at a moment. The columns are t, in microseconds, class, and
                   x, y, the object's middle. With the columns w, h, the row is a box, and (x, y) is
                   its upper left corner.
 NAME_bbox.npy     Prophesee's boxes, with the fields t (or ts), x, y, w, h, class_id. The file may
                   also belong to a recording NAME_td.*. The file `label_map_dictionary.json` beside
-                  it names the classes. Without that file, class_id k is the model's class k.
+                  it names the classes. Without that file, class_id k is the model's class k. eTraM
+                  has such files, too.
+tracks.npy        DSEC-Detection's boxes, with the same fields, in object_detections/left of the
+                  sequence's folder. The recording is events/left/events.h5 there. Boxes and events
+                  have the times of DSEC's clock. Class numbers are those of `DSEC_CLASSES`.
+
+References
+----------
+- Gehrig, Scaramuzza 2024, Low-latency automotive vision with event cameras,
+  doi:10.1038/s41586-024-07409-w; the format: https://github.com/uzh-rpg/dsec-det
+- Verma et al. 2024, eTraM: event-based traffic monitoring dataset, arXiv:2403.19976
 """
 
 from __future__ import annotations
@@ -33,6 +46,21 @@ BOXES = "_bbox.npy"
 RECORDING_END = "_td"
 """The end of a recording's stem that its file of boxes does not have. The boxes of a_td.dat are in
 a_bbox.npy."""
+TRACKS = Path("object_detections/left/tracks.npy")
+"""The boxes of a sequence of DSEC-Detection, in the sequence's folder."""
+DSEC_EVENTS = Path("events/left/events.h5")
+"""The events of a sequence of DSEC, in the sequence's folder."""
+DSEC_CLASSES = (
+    "pedestrian",
+    "rider",
+    "car",
+    "bus",
+    "truck",
+    "bicycle",
+    "motorcycle",
+    "train",
+)
+"""The classes of DSEC-Detection, by their numbers."""
 NAMES_FILE = "label_map_dictionary.json"
 """The file that names the classes of Prophesee's boxes. It lies beside them."""
 POINT_REACH_PX = 5.0
@@ -73,7 +101,8 @@ class ObjectTable:
 def find_tables(folder: Path) -> list[tuple[Path, Path]]:
     """The recordings of a folder that have a table, as pairs (recording, table).
 
-    If the folder has a folder `Test`, the recordings are looked for in there.
+    If the folder has a folder `Test`, the recordings are looked for in there. The folder may also
+    be a sequence of DSEC-Detection, or hold sequences.
 
     Raises
     ------
@@ -81,7 +110,7 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
     OSError : the folder does not exist.
     """
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
-    pairs = []
+    pairs = _sequences_of_dsec(folder)
     for path in sorted(folder.iterdir()):
         if not is_recording(path) or path.name.endswith((CSV, BOXES)):
             continue
@@ -97,9 +126,20 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
         )
     if not pairs:
         raise ValueError(
-            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}"
+            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}, "
+            f"and no sequences with {TRACKS.as_posix()}"
         )
     return pairs
+
+
+def _sequences_of_dsec(folder: Path) -> list[tuple[Path, Path]]:
+    """The recordings and tables of sequences of DSEC-Detection."""
+    sequences = [folder, *sorted(path for path in folder.iterdir() if path.is_dir())]
+    return [
+        (sequence / DSEC_EVENTS, sequence / TRACKS)
+        for sequence in sequences
+        if (sequence / TRACKS).is_file() and (sequence / DSEC_EVENTS).is_file()
+    ]
 
 
 @dataclass(frozen=True)
@@ -245,7 +285,8 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
         raise ValueError(
             f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {reason}"
         ) from None
-    name_of = _class_names(path.parent / NAMES_FILE, classes)
+    numbered = DSEC_CLASSES if path.name == TRACKS.name else classes
+    name_of = _class_names(path.parent / NAMES_FILE, numbered)
     names = [name_of.get(str(number), str(number)) for number in numbers]
     return _Rows(np.array(names, object), t, corner, size)
 
@@ -253,7 +294,7 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
 def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
     """Number of a class, as text -> name of the class.
 
-    The names are read from the file `path`. Without this file, number k is the model's class k.
+    The names are read from the file `path`. Without this file, number k is class k of `classes`.
     """
     if not path.is_file():
         return {str(k): name for k, name in enumerate(classes)}

@@ -144,4 +144,5 @@ def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> 
         description.record,
         network=network,
         outputs=description.outputs,
+        by_share=description.by_share,
     )

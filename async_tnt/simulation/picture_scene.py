@@ -16,17 +16,27 @@ motion      The length is .06 to .5 of the sensor's shorter side, log-uniform. I
             and the log of its size changes by up to .15. A quarter of the motions come back. See
             `random_motion`.
 pixels      See `random_pixels`.
+
+If a sensor is cut out for its object (`SceneSettings.cut_out`), other rules hold for some of these:
+
+size        log-uniform in the stated range, so that small objects are as frequent as large ones
+motion      The length is .1 to .8 of the object's longer side, log-uniform.
+place       The object and all of its motion lie in the middle of the sensor. Only the pixels around
+            them have events.
+ground      It has no texture, which would end where the simulated pixels end.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.simulation.outlines import farthest_points, moved_points
 from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.pictures import Picture
 from async_tnt.simulation.random_motion import random_motion
@@ -38,6 +48,11 @@ LONGEST = 0.5
 """Greatest length of a motion, as a share of the sensor's shorter side."""
 LONGEST_FOLLOWED = 4.0
 """Greatest length of a motion that the sensor follows, as a share of the sensor's shorter side."""
+CUT_OUT_LENGTHS = (0.1, 0.8)
+"""Least and greatest length of a motion on a sensor that is cut out, in the object's longer
+side."""
+CUT_OUT = 1.4
+"""Side of the sensor around an object that stands still, in the object's longer side."""
 MOST_TURN = np.radians(15.0)
 """Largest turn of a motion, in radians."""
 MOST_GROWTH = 0.15
@@ -89,6 +104,7 @@ class SceneSettings:
     follow : whether the sensor is a crop of a larger sensor. The crop follows the object in steps
         of whole pixels.
     camera : measured pixels of the camera; None: the pixels were not measured.
+    cut_out : whether the sensor is cut out of a larger one around an object of any size.
     """
 
     sensor: tuple[int, int]
@@ -97,6 +113,7 @@ class SceneSettings:
     light: str = "both"
     follow: bool = False
     camera: MeasuredPixels | None = None
+    cut_out: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.size[0] <= self.size[1] <= 1:
@@ -104,11 +121,25 @@ class SceneSettings:
         if self.light not in LIGHTS:
             rule = f"must be one of {', '.join(LIGHTS)}"
             raise ParameterValueError("light", rule, repr(self.light))
+        if self.follow and self.cut_out:
+            raise ValueError("a sensor may follow its object, or be cut out for it, but not both")
+
+
+class PictureRecording(NamedTuple):
+    """A simulated recording of a picture.
+
+    events : structured array of `EVENT_DTYPE`, times in [0, window_us).
+    outline : float32, (MOMENTS, POINTS, 2): points (x, y) on the object's outline at moments from
+        the recording's start to its end, see `outlines`.
+    """
+
+    events: np.ndarray
+    outline: np.ndarray
 
 
 def record_picture(
     picture: Picture, settings: SceneSettings, rng: np.random.Generator
-) -> np.ndarray:
+) -> PictureRecording:
     """Simulate one recording of a picture.
 
     Parameters
@@ -116,16 +147,16 @@ def record_picture(
     picture : the object.
     settings : camera and scene.
     rng : draws the scene, the motion and the pixels.
-
-    Returns
-    -------
-    Structured array of `EVENT_DTYPE`, times in [0, window_us).
     """
+    if settings.cut_out:
+        return _record_cut_out(picture, settings, rng)
     smaller = min(settings.sensor)
     side_px = smaller * rng.uniform(*settings.size)
-    shares, motion, turn = _draw_motion(settings, rng)
+    longest = LONGEST_FOLLOWED if settings.follow else LONGEST
+    log_share = rng.uniform(*np.log((SHORTEST, longest)))
+    shares, motion, turn = _draw_motion(smaller * float(np.exp(log_share)), rng)
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
-    scene = _scene(picture, side_px, reach, settings, rng)
+    scene, points = _scene(picture, side_px, reach, settings, rng)
 
     # At half time the object is anywhere on the sensor, but completely on it.
     size_px = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape)
@@ -137,7 +168,8 @@ def record_picture(
     times_us = settings.window_us * shares
     pixels = random_pixels(rng, settings.camera)
     if not settings.follow:
-        return scene.events(times_us, displacement, turn, pixels, rng)
+        outline = moved_points(points, scene.centre, shares, displacement, turn)
+        return PictureRecording(scene.events(times_us, displacement, turn, pixels, rng), outline)
 
     # The crop moves over a large sensor. Its path is divided into parts, and for each part only the
     # pixels near the crop are simulated. To simulate the whole sensor takes three times as long.
@@ -156,22 +188,51 @@ def record_picture(
             times_us[frames], displacement[frames] - first, turn[frames], pixels, rng
         )
         parts.append(_crop(events, times_us, motion, first, settings.sensor))
-    return np.concatenate(parts)
+    # on the crop, which moves in whole pixels
+    on_crop = displacement - np.rint(motion)
+    outline = moved_points(points, scene.centre, shares, on_crop, turn)
+    return PictureRecording(np.concatenate(parts), outline)
+
+
+def _record_cut_out(
+    picture: Picture, settings: SceneSettings, rng: np.random.Generator
+) -> PictureRecording:
+    """Simulate one recording on the part of the sensor that the object and its motion need.
+
+    A motion for which the sensor is too small leaves it.
+    """
+    whole = np.array(settings.sensor)
+    log_share = rng.uniform(*np.log(settings.size))
+    side_px = whole.min() * float(np.exp(log_share))
+    length = side_px * float(np.exp(rng.uniform(*np.log(CUT_OUT_LENGTHS))))
+    shares, motion, turn = _draw_motion(length, rng)
+    low = motion.min(axis=0)
+    needed = np.ceil(motion.max(axis=0) - low + CUT_OUT * side_px).astype(int)
+    part = np.minimum(needed, whole)
+    reach = np.ceil(np.abs(motion).max(0)).astype(int)
+    on_part = replace(settings, sensor=(int(part[0]), int(part[1])))
+    scene, points = _scene(picture, side_px, reach, on_part, rng)
+    place = CUT_OUT * side_px / 2 - low + rng.uniform(-0.5, 0.5, 2)
+    displacement = place - scene.centre + motion
+    pixels = random_pixels(rng, settings.camera)
+    events = scene.events(settings.window_us * shares, displacement, turn, pixels, rng)
+    first = (whole - part) // 2
+    for axis, name in enumerate("xy"):
+        events[name] += first[axis].astype(events[name].dtype)
+    outline = moved_points(points, scene.centre, shares, displacement + first, turn)
+    return PictureRecording(events, outline)
 
 
 def _draw_motion(
-    settings: SceneSettings, rng: np.random.Generator
+    length: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw a random motion.
+    """Draw a random motion of this length, in pixels.
 
     Returns
     -------
     The times of the motion's frames, as shares of the window, (n,). The displacement at these
     times, in pixels, (n, 2). The turn at these times, (n, 2), see `PeriodicImage.frames`.
     """
-    longest = LONGEST_FOLLOWED if settings.follow else LONGEST
-    log_share = rng.uniform(*np.log((SHORTEST, longest)))
-    length = min(settings.sensor) * float(np.exp(log_share))
     shares = np.linspace(0, 1, FINE)
     motion, turn = random_motion(
         length, shares, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
@@ -243,8 +304,10 @@ def _scene(
     reach: np.ndarray,
     settings: SceneSettings,
     rng: np.random.Generator,
-) -> PeriodicImage:
-    """The object in its surroundings, as log luminance, seen through a lens.
+) -> tuple[PeriodicImage, np.ndarray]:
+    """The object in its surroundings, as log luminance, seen through a lens, and its outline.
+
+    The outline is (P, 2) points (x, y) of the object before its motion, in sensor pixels.
 
     Parameters
     ----------
@@ -268,7 +331,7 @@ def _scene(
     shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in period[::-1])
 
     # the ground
-    if rng.random() < TEXTURED:
+    if rng.random() < TEXTURED and not settings.cut_out:
         texture = rng.uniform(0, TEXTURE) * _texture(shape, rng)
     else:
         texture = np.zeros(shape)
@@ -293,7 +356,8 @@ def _scene(
     darkest = 1.0 / contrast
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
     image = np.log(darkest + (1.0 - darkest) * np.clip(light, 0, 1))
-    return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor)
+    points = (farthest_points(cover) + np.array([left, top])) / FINENESS
+    return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor), points
 
 
 def _random_ground(luminance: float, rng: np.random.Generator) -> float:

@@ -20,6 +20,7 @@ from async_tnt.networks.models.objects import (
     ObjectReader,
     even_places,
     logits_shape,
+    n_of_boxes,
     new_tracks,
 )
 from async_tnt.streaming.decision import Decision, Object, Trigger
@@ -230,9 +231,9 @@ class WindowClassifier:
         return logits.reshape(shape)
 
     def _new_reader(self, shape: tuple[int, ...]) -> ObjectReader:
-        """A reader of maps of this shape. Maps have sizes if there are three channels too many."""
+        """A reader of maps of this shape. Maps have boxes if they have as many channels more."""
         n_classes = None if self.classes is None else len(self.classes)
-        has_sizes = n_classes is not None and shape[0] == n_classes + 3
+        has_sizes = n_classes is not None and n_of_boxes(shape[0], n_classes) > 0
         return ObjectReader(shape, n_classes if has_sizes else None)
 
     def _reader_for(self, shape: tuple[int, ...]) -> ObjectReader:
@@ -332,7 +333,8 @@ class WindowClassifier:
             return self.classes
         if is_map:
             rule = (
-                f"must return {n_expected + 1} channels, one more than classes, or {n_expected + 3}"
+                f"must return {n_expected + 1} channels, one more than classes, or "
+                f"{n_expected + 3} or {n_expected + 5}"
             )
             raise ParameterValueError("classifier", rule, n + 1)
         rule = f"must return {n_expected} logits, one for each class"

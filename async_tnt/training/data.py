@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.pixels.pixels import Pixels
@@ -20,6 +21,7 @@ from async_tnt.streaming.windows import N_JUDGED, TimeUnitCheck
 from async_tnt.training.dataset import Dataset, Reading, read_part
 from async_tnt.training.held_out import BY_NUMBER, Division, Split, divide, hold_out_ends
 from async_tnt.training.recordings import Recordings
+from async_tnt.training.scenes import Scales
 from async_tnt.training.settings import duration_us, with_bins
 from async_tnt.training.simulated_pictures import (
     LabelledPicture,
@@ -45,6 +47,7 @@ def dataset_data(
     reading: ReadOptions | None = None,
     split: Split = Split(),  # noqa: B008  (frozen)
     scenes: Mapping[str, Any] | None = None,
+    scales: tuple[float, float] | None = None,
     work: Work = Work(),  # noqa: B008  (frozen)
 ) -> TrainingData:
     """Read a folder of class folders into windows to train, validate and test on.
@@ -63,25 +66,35 @@ def dataset_data(
     split : what is held out, and whether the part `Test` is read.
     scenes : how pictures are recorded: name of a field of `SceneSettings` -> value, for the fields
         that differ from the default.
+    scales : the least and the largest longer side of objects, as shares of the sensor's shorter
+        side, for a map model that learns from scenes of a sensor of the data set's size, see
+        `scenes`. Then the data set holds pictures only. None: each recording shows an object at the
+        size that it has there.
     work : where events are kept, and how many processes record pictures.
 
     Raises
     ------
     ValueError, OSError : as `read_part`; the same picture is in two classes; a class has no window;
-        `split.groups` is not found in a recording's name.
+        `split.groups` is not found in a recording's name; there are `scales` for recordings.
     """
     choice = VolumeChoice(volume) if isinstance(volume, TNTConfig) else volume
     how = Reading(pixels or Pixels(), reading or ReadOptions(), work)
     picture_files = find_pictures(folder)
     dataset = read_part(folder, how, with_pictures=picture_files)
     config = choice.for_recordings(dataset.sensor, _longest_us(dataset.recordings))
+    fields = dict(scenes or {})
+    whole = None
+    if scales is not None:
+        whole = _whole_scenes(Scales(*scales), choice, config, dataset)
+        config = Scales(*scales).cut_out(whole)
+        fields |= {"size": Scales(*scales).on_cut_out(whole), "cut_out": True}
     pictures, bad_pictures = check_pictures(
         picture_files, dataset.classes, dataset.recordings.labels, work.progress
     )
     examples = _Examples(dataset, tuple(pictures))
     division = divide(examples.names, examples.kinds, split)
 
-    scene = SceneSettings(config.sensor, duration_us(config), **(scenes or {}))
+    scene = SceneSettings(config.sensor, duration_us(config), **fields)
     recorded = _record(examples, division, scene, split.seed, work)
     windows, labels_in_time = _windows(recorded, config, examples.n_recordings, split)
     _check_windows(windows.training, config, examples.counts)
@@ -119,10 +132,29 @@ def dataset_data(
         masked=_masked(how.pixels, dataset),
         left_out=tuple(left_out),
         notes=tuple(notes),
+        scenes=None if whole is None else config.replace(sensor=whole.sensor, grid=whole.grid),
     )
 
 
 # -- the steps, in their order ---------------------------------------------------------------------
+
+
+def _whole_scenes(
+    scales: Scales, choice: VolumeChoice, config: TNTConfig, dataset: Dataset
+) -> TNTConfig:
+    """How the events of scenes of objects of many sizes become volumes.
+
+    config : as for a recording of the whole sensor.
+    """
+    if len(dataset.recordings):
+        raise ParameterValueError(
+            "scales",
+            "is for pictures, which are recorded at any size; recordings keep theirs",
+            f"{len(dataset.recordings)} recordings",
+        )
+    if "grid" in choice.fitted and not config.slides:
+        return config.replace(grid=scales.grid(config.sensor))
+    return config
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,9 @@ class Fitted:
         entries = {}
         for name, (windows, further_values) in data.tests.items():
             if is_map_model:
-                scores = SceneScores(data.config, self.model, windows).evaluate(pipeline)
+                scores = SceneScores(data.config, self.model, windows, data.scenes).evaluate(
+                    pipeline
+                )
             else:
                 scores = evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict()
             entries[name] = {**scores, **further_values}
@@ -103,7 +105,7 @@ def fit(
     has_validation = len(data.validation) > 0
     is_map_model = settings.everywhere
     if has_validation and is_map_model:
-        scorer = SceneScores(data.config, model, data.validation)
+        scorer = SceneScores(data.config, model, data.validation, data.scenes)
         record["validation"] = scorer.evaluate(pipeline_of(model))
     elif has_validation:
         evaluation = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -180,7 +180,9 @@ class _Run:
         )
         self._objective: ClassOfWindows | ObjectsInScenes = self._window_objective
         if settings.everywhere:  # a map model
-            self._objective = ObjectsInScenes(data.config, data.validation, settings, data.classes)
+            self._objective = ObjectsInScenes(
+                data.config, data.validation, settings, data.classes, data.scenes
+            )
 
         self._device = "cuda" if torch.cuda.is_available() else "cpu"
         self._pipeline = self._first_pipeline(start).to(self._device)
@@ -303,7 +305,8 @@ class _Run:
 
     def model(self) -> Model:
         """The model with the weights as they are now."""
-        return export(self._final_pipeline, self._data.classes, self._objective.config)
+        model = export(self._final_pipeline, self._data.classes, self._objective.config)
+        return replace(model, by_share=self._data.scenes is not None)
 
 
 def batches_of(

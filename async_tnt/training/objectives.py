@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,12 +19,12 @@ from async_tnt.evaluation.object_scores import ObjectScores, score_objects
 from async_tnt.evaluation.scores import share_right
 from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.networks.models.model import Model
-from async_tnt.networks.models.objects import ObjectReader, new_tracks
+from async_tnt.networks.models.objects import ObjectReader, n_of_boxes, new_tracks
 from async_tnt.training.augment import Draws, on_pixels, unchanged
 from async_tnt.training.evaluation import BATCH, class_probabilities, confusion_by_recording
 from async_tnt.training.networks import build_network
 from async_tnt.training.pipeline import Pipeline, pipeline_of
-from async_tnt.training.scenes import OBJECTS, SceneMaker, Scenes
+from async_tnt.training.scenes import OF_RECORDING, SceneMaker, Scenes
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
@@ -156,17 +157,22 @@ class SceneScores:
     model : a map model for scenes of these recordings. Its weights are not used.
     windows : the objects of the scenes. About `N_SCENES` scenes are made of them, or fewer if there
         are too few windows.
+    scenes : see `SceneMaker`. With it, an object is found within `REACH` of its own extent.
     """
 
-    def __init__(self, crops: TNTConfig, model: Model, windows: Windows) -> None:
+    def __init__(
+        self, crops: TNTConfig, model: Model, windows: Windows, scenes: TNTConfig | None = None
+    ) -> None:
         assert model.places is not None
         self._classes = model.classes
-        self._maker = SceneMaker(crops)
+        self._maker = SceneMaker(crops, scenes)
         self._reader = ObjectReader(model.logits_shape, len(model.classes))
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
-        chosen = np.random.default_rng(0).permutation(len(windows))[: round(N_SCENES * OBJECTS)]
+        n_windows = round(N_SCENES * self._maker.n_objects)
+        chosen = np.random.default_rng(0).permutation(len(windows))[:n_windows]
         self._windows = windows[chosen]
         self._within_px = REACH * min(crops.sensor)
+        self._has_sizes = scenes is not None
 
     def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
         """The scores of a map model when this share of each window has passed."""
@@ -186,11 +192,14 @@ class SceneScores:
                 n = self._reader.read(logits, self._tracks, 0, False)
                 objects = self._reader.found[: max(0, n)]  # n < 0: a logit is not finite
                 is_in_scene = scenes.scene == k
+                within_px: np.ndarray | float = self._within_px
+                if self._has_sizes:
+                    within_px = REACH * _extents(scenes.size[is_in_scene])
                 scores += score_objects(
                     objects,
                     scenes.label[is_in_scene],
                     scenes.position[is_in_scene],
-                    self._within_px,
+                    within_px,
                     n_classes,
                 )
         pipeline.train(was_training)
@@ -206,6 +215,14 @@ class SceneScores:
         return {**at_end.to_dict(self._classes), "f1_against_time_ms": early_f1}
 
 
+def _extents(size: np.ndarray) -> np.ndarray:
+    """What stands for a recording's shorter side beside objects of any size, twice: (N, 2).
+
+    size : (N, 2), the width and height of the objects' boxes.
+    """
+    return np.repeat(size.max(axis=1, keepdims=True) / OF_RECORDING, 2, axis=1)
+
+
 LEFT_OUT = 0.2
 """Largest distance to an object at which a place of the map may be left out of the loss, as a share
 of a recording's shorter side.
@@ -214,20 +231,37 @@ The target of a place depends on the distance from the place to the nearest obje
 the target is the object's class. The place that is nearest to an object has the object's class at
 any distance. Between `REACH` and `LEFT_OUT`, the place has no target and weight 0. Beyond
 `LEFT_OUT`, the target is nothing."""
+REACH_OF_SIZES = 0.1
+"""What `REACH` is for the targets of objects of many sizes, as a share of an object's extent."""
+LEFT_OUT_OF_SIZES = 0.25
+"""What `LEFT_OUT` is for objects of many sizes."""
 OBJECT_WEIGHT = 4.0
 """Weight in the loss of a place whose target is a class. A place whose target is nothing has weight
 1."""
+OBJECT_WEIGHT_OF_SIZES = 16.0
+"""What `OBJECT_WEIGHT` is for objects of many sizes, of which most have a single place among more
+than a thousand."""
+LISTED_WEIGHT_OF_SIZES = 2.0
+"""The weight of objects of many sizes with which the finished model decides what it lists.
+
+A larger weight in the loss makes a network learn faster that there are objects, but it would also
+list what is likely nothing. So the loss sees the logit of nothing less the logarithm of the ratio
+of both weights (logit adjustment, Menon et al. 2021, arXiv:2007.07314)."""
 LEAST_SIZE_PX = 1.0
 """The least width and height of an object from which the size is learned."""
 SIZE_WEIGHT = 0.1
 """Weight of the mean loss of sizes, beside the mean loss of classes."""
+BOX_WEIGHT = 1.0
+"""Weight of the mean loss of sizes and middles, beside the mean loss of classes."""
 
 
 class ObjectsInScenes:
     """The objective of a map model: the cross-entropy at each place of the maps of scenes.
 
     If maps have two channels for sizes, their loss is added: at places whose target is a class, the
-    smooth absolute difference from the logarithms of the object's width and height, in places.
+    smooth absolute difference from the logarithms of the object's width and height, in places. If
+    they have two more for middles, so is the difference from the way to the object's middle, in
+    places. A place counts for a middle in inverse proportion to the object's extent.
 
     Parameters
     ----------
@@ -235,6 +269,8 @@ class ObjectsInScenes:
     validation : windows that are held out, for scenes on which F1 is measured; may be empty.
     settings : how the model is trained.
     classes : names, one for each label from 0 on.
+    scenes : how the events of scenes become volumes, if their objects have many sizes, see
+        `SceneMaker`.
 
     Raises
     ------
@@ -247,8 +283,9 @@ class ObjectsInScenes:
         validation: Windows,
         settings: TrainSettings,
         classes: tuple[str, ...],
+        scenes: TNTConfig | None = None,
     ) -> None:
-        self._maker = SceneMaker(config)
+        self._maker = SceneMaker(config, scenes)
         self.config = self._maker.config
         with torch.random.fork_rng(devices=[]):
             network = build_network(
@@ -259,14 +296,18 @@ class ObjectsInScenes:
             raise ParameterValueError(
                 "network",
                 f"{settings.network} must compute a map of {len(classes) + 1} channels, or of "
-                f"{len(classes) + 3} with the sizes of objects",
+                f"{len(classes) + 3} with the sizes of objects, or of {len(classes) + 5} with "
+                "their middles, too",
             )
         self._places = model.places
         self._map_shape = model.logits_shape
         self._nothing = len(classes)  # its channel
-        self._has_sizes = model.logits_shape[0] == len(classes) + 3
+        self._of_boxes = n_of_boxes(model.logits_shape[0], len(classes))
         self._shorter = min(config.sensor)
-        self._scorer = SceneScores(config, model, validation) if len(validation) else None
+        self._has_extents = scenes is not None
+        self._scorer = None
+        if len(validation):
+            self._scorer = SceneScores(config, model, validation, scenes)
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
         """The loss of scenes that are made of a batch of windows, augmented by `draws`."""
@@ -280,54 +321,84 @@ class ObjectsInScenes:
         scenes = self._maker(windows, draws, rng)
         maps = pipeline.classify(torch.from_numpy(scenes.volumes))
         logits = maps[:, : self._nothing + 1]
-        targets, weights, sizes = self._targets(scenes)
+        if self._has_extents:
+            ratio = OBJECT_WEIGHT_OF_SIZES / LISTED_WEIGHT_OF_SIZES
+            less = torch.zeros(1, self._nothing + 1, 1, 1, device=logits.device)
+            less[:, self._nothing] = math.log(ratio)
+            logits = logits - less
+        targets, weights, boxes = self._targets(scenes)
         target = torch.from_numpy(targets)
         weight = torch.from_numpy(weights).to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
         is_object = target < self._nothing
         is_right = logits.detach().argmax(1).cpu() == target
         loss = (losses * weight).sum() / weight.sum()
-        if self._has_sizes and is_object.any():
+        if self._of_boxes and is_object.any():
             places = is_object.to(logits.device)
-            found = maps[:, -2:].movedim(1, -1)[places]  # (objects' places, 2)
-            wanted = torch.from_numpy(sizes).to(logits.device)[places]
-            loss = loss + SIZE_WEIGHT * F.smooth_l1_loss(found, wanted, beta=0.1)
+            found = maps[:, -self._of_boxes :].movedim(1, -1)[places]  # (objects' places, 2 or 4)
+            wanted = torch.from_numpy(boxes).to(logits.device)[places][:, : self._of_boxes]
+            loss = loss + self._loss_of_boxes(found, wanted)
         return BatchLoss(loss, int(is_right[is_object].sum()), int(is_object.sum()))
 
-    def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Target and weight of each place of M maps, int64 and float32, (M, R, C), and sizes.
+    def _loss_of_boxes(self, found: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        """The loss of boxes at N places: of sizes (N, 2), or of sizes and middles (N, 4)."""
+        if self._of_boxes == 2:
+            return SIZE_WEIGHT * F.smooth_l1_loss(found, wanted, beta=0.1)
+        # a middle is as wrong as its distance is in sizes of the object
+        sides = wanted[:, :2].exp()
+        sizes = F.smooth_l1_loss(found[:, :2], wanted[:, :2], beta=0.1)
+        middles = F.smooth_l1_loss(found[:, 2:] / sides, wanted[:, 2:] / sides, beta=0.1)
+        return BOX_WEIGHT * (sizes + middles)
 
-        M is the number of scenes. See `LEFT_OUT` and `OBJECT_WEIGHT`. Sizes are the logarithms of
-        the width and height, in places, of the object that a place is about: float32,
-        (M, R, C, 2).
+    def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Target and weight of each place of M maps, int64 and float32, (M, R, C), and boxes.
+
+        M is the number of scenes. See `LEFT_OUT` and `OBJECT_WEIGHT`. Boxes are of the object that
+        a place is about: the logarithms of the width and height in places, and how many places to
+        the right and down its middle is, float32, (M, R, C, 4).
         """
         _, rows, columns = self._map_shape
         nothing = self._nothing
         shape = len(scenes.volumes), rows, columns
         target = np.full(shape, nothing, np.int64)
         weight = np.ones(shape, np.float32)
-        sizes = np.zeros((*shape, 2), np.float32)
-        nearest = np.full(shape, np.inf)  # the distance from each place to the nearest object
+        boxes = np.zeros((*shape, 4), np.float32)
+        # the distance from each place to the nearest object, in extents of that object
+        nearest = np.full(shape, np.inf)
         # place (row, column) of a map is at (x0 + dx column, y0 + dy row), in sensor pixels
         x0, dx, y0, dy = self._places
         log_sizes = np.log(np.maximum(scenes.size, LEAST_SIZE_PX) / (dx, dy))
-        for scene, label, (x, y), log_size in zip(
-            scenes.scene, scenes.label, scenes.position, log_sizes, strict=True
+        extents = np.full(len(log_sizes), float(self._shorter))
+        reach = REACH
+        left_out = LEFT_OUT
+        object_weight = OBJECT_WEIGHT
+        if self._has_extents:
+            extents = np.maximum(_extents(scenes.size)[:, 0], LEAST_SIZE_PX)
+            reach = REACH_OF_SIZES
+            left_out = LEFT_OUT_OF_SIZES
+            object_weight = OBJECT_WEIGHT_OF_SIZES
+        for scene, label, (x, y), log_size, extent in zip(
+            scenes.scene, scenes.label, scenes.position, log_sizes, extents, strict=True
         ):
-            distance_x = np.abs(x0 + dx * np.arange(columns) - x)
-            distance_y = np.abs(y0 + dy * np.arange(rows) - y)
+            aside = (x - x0) / dx - np.arange(columns)  # in places
+            down = (y - y0) / dy - np.arange(rows)
+            distance_x = dx * np.abs(aside) / extent
+            distance_y = dy * np.abs(down) / extent
             distance = np.maximum(distance_y[:, None], distance_x)  # (R, C)
             # the nearest place gets the object's class at any distance
             row, column = divmod(int(distance.argmin()), columns)
             distance[row, column] = 0.0
             is_nearer = distance < nearest[scene]
             nearest[scene][is_nearer] = distance[is_nearer]
-            is_target = is_nearer & (distance <= REACH * self._shorter)
+            is_target = is_nearer & (distance <= reach)
             target[scene][is_target] = label
-            sizes[scene][is_target] = log_size
-        weight[nearest <= LEFT_OUT * self._shorter] = 0.0
-        weight[target < nothing] = OBJECT_WEIGHT
-        return target, weight, sizes
+            rows_of, columns_of = np.nonzero(is_target)
+            boxes[scene, rows_of, columns_of, :2] = log_size
+            boxes[scene, rows_of, columns_of, 2] = aside[columns_of]
+            boxes[scene, rows_of, columns_of, 3] = down[rows_of]
+        weight[nearest <= left_out] = 0.0
+        weight[target < nothing] = object_weight
+        return target, weight, boxes
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
         """F1 in held-out scenes, for the history; empty if nothing is held out."""

@@ -28,6 +28,7 @@ from async_tnt.base.messages import one_line
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, VOLUME
 from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.scaled_volume import with_scaled_volume
 from async_tnt.networks.models.torch_modules import torch_classifier, torch_regressor
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
@@ -278,8 +279,8 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
         for tensor in tensor_names:
             weights[tensor] = weights[tensor] * scale.cpu().numpy()
         if not tensor_names:  # the scale becomes a layer of its own, the first one
-            network[name], tensors = _scaled(
-                name, network[name], pipeline.config.channels, float(scale)
+            network[name], tensors = with_scaled_volume(
+                name, network[name], weights, pipeline.config.channels, float(scale)
             )
             weights |= tensors
     return replace(model, weights=weights, network=network)
@@ -297,44 +298,6 @@ def first_weights(layers: Sequence[Layer]) -> list[str]:
     are_all_convolutions = len(names) == len(readers)
     are_used_once = all(all_names.count(name) == 1 for name in names)
     return names if are_all_convolutions and are_used_once else []
-
-
-def _scaled(
-    name: str, layers: Sequence[Layer], channels: int, scale: float
-) -> tuple[list[Layer], dict[str, Any]]:
-    """Put a new layer, which multiplies the volume by `scale`, before the layers.
-
-    The new layer is a batch norm.
-
-    Parameters
-    ----------
-    name : name of the network, with which the names of the new tensors begin.
-    layers : the layers of the network.
-    channels : number of channels of the volume.
-    scale : the factor.
-
-    Returns
-    -------
-    All layers, the new layer first, and the tensors of the new layer.
-    """
-    values = {"mean": 0.0, "variance": 1.0, "weight": scale}
-    tensor_names = {role: f"{name}.scale.{role}" for role in values}
-    scaling = {
-        "op": "batch_norm",
-        "name": "scaled volume",
-        "inputs": [VOLUME],
-        "weights": tensor_names,
-        "epsilon": 0.0,
-    }
-    rewired = []
-    for layer in layers:
-        # a layer that read the volume now reads the new layer's output
-        inputs = ["scaled volume" if value == VOLUME else value for value in layer["inputs"]]
-        rewired.append({**layer, "inputs": inputs})
-    tensors = {
-        tensor_names[role]: np.full(channels, value, np.float32) for role, value in values.items()
-    }
-    return [scaling, *rewired], tensors
 
 
 def pipeline_of(model: Model) -> Pipeline:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from async_tnt.networks.models.model import GRID_STEP
 from async_tnt.training.networks import find_network
 from async_tnt.training.pipeline import check_network
 from async_tnt.training.run_folder import load_checkpoint
 from async_tnt.training.scenes import SceneMaker
-from async_tnt.training.settings import OF_PICTURES, TrainSettings, settings_for
+from async_tnt.training.settings import OF_PICTURES, OF_SCALES, TrainSettings, settings_for
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.volume_choice import VolumeChoice
 from async_tnt.volume.config import TNTConfig
@@ -31,6 +31,7 @@ class Plan:
     everywhere : whether a map model is trained, on scenes.
     mirror : whether half of the windows are mirrored from left to right.
     has_pictures : whether the data set holds pictures.
+    scales : sizes of objects, see `dataset_data`.
     """
 
     volume: VolumeChoice
@@ -40,6 +41,7 @@ class Plan:
     everywhere: bool = False
     mirror: bool = False
     has_pictures: bool = False
+    scales: tuple[float, float] | None = None
 
     def check(self) -> None:
         """Refuse a network that does not fit the volume.
@@ -68,8 +70,12 @@ class Plan:
         ValueError, OSError : see `load_checkpoint`.
         """
         settings = self._settings(self.volume.config, 1)
-        known: Mapping[str, Any] = {"seed": settings.seed, "network": settings.network}
-        load_checkpoint(run_folder, {**self.volume.known(sensor), **known})
+        known = self.volume.known(sensor)
+        if self.scales is not None:  # a run knows the sensor and the grid that are cut out
+            known.pop("sensor", None)
+            known.pop("grid", None)
+        known |= {"seed": settings.seed, "network": settings.network}
+        load_checkpoint(run_folder, known)
 
     def settings_for(self, data: TrainingData) -> TrainSettings:
         """The settings with which to train on a data set.
@@ -81,7 +87,7 @@ class Plan:
         settings = self._settings(data.config, len(data.training))
         check_network(
             settings.network,
-            self._input(data.config),
+            data.scenes or self._input(data.config),
             len(data.classes),
             everywhere=self.everywhere,
         )
@@ -92,7 +98,11 @@ class Plan:
         augmentation: dict[str, Any] = {"mirror": self.mirror}
         if self.has_pictures:
             augmentation |= OF_PICTURES
-        chosen: dict[str, Any] = {} if self.network is None else {"network": self.network}
+        chosen: dict[str, Any] = {}
+        if self.scales is not None:
+            chosen["network"] = OF_SCALES
+        if self.network is not None:
+            chosen["network"] = self.network
         return settings_for(
             config,
             n_windows,
@@ -104,5 +114,14 @@ class Plan:
         )
 
     def _input(self, config: TNTConfig) -> TNTConfig:
-        """The volume that the network takes: that of a recording, or of a scene of recordings."""
-        return SceneMaker(config).config if self.everywhere else config
+        """The volume that the network takes: that of a recording, or of a scene of recordings.
+
+        The sensor of scenes of objects of many sizes may not be known yet. Any grid that has twice
+        as many steps as it needs stands for theirs.
+        """
+        if self.scales is None:
+            return SceneMaker(config).config if self.everywhere else config
+        if "grid" not in self.volume.fitted:
+            return config
+        side = 8 * GRID_STEP
+        return config.replace(sensor=(side, side), grid=(side, side))

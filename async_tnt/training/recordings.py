@@ -41,6 +41,10 @@ class Recordings:
     offsets : int64, shape (R + 1,). Recording r has the events `offsets[r] <= i < offsets[r + 1]`.
     labels : int64, shape (R,).
     names : R names, such as file paths relative to their folder.
+    outlines : float32, (R, M, P, 2): P points (x, y) on the outline of each recording's object, at
+        M moments from 0 to `outlined_us`, evenly spread. nan: the outline of this recording is not
+        known. None: no outline is known.
+    outlined_us : int64, (R,), microseconds; None without outlines.
     """
 
     t: np.ndarray
@@ -50,6 +54,8 @@ class Recordings:
     offsets: np.ndarray
     labels: np.ndarray
     names: tuple[str, ...]
+    outlines: np.ndarray | None = None
+    outlined_us: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -73,6 +79,8 @@ class Recordings:
         for name in (*COLUMNS, "labels"):
             columns[name] = np.concatenate([getattr(self, name), getattr(other, name)])
         offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
+        if self.outlines is not None or other.outlines is not None:
+            raise ValueError("recordings with outlines cannot be added")
         return Recordings(**columns, offsets=offsets, names=self.names + other.names)
 
     @classmethod
@@ -128,6 +136,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._offsets = [0]
         self._labels: list[int] = []
         self._names: list[str] = []
+        self._outlines: list[np.ndarray | None] = []
+        self._outlined_us: list[int] = []
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():
@@ -136,7 +146,14 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
             with contextlib.suppress(BufferError, OSError):
                 file.close()
 
-    def add(self, events: np.ndarray, label: int, name: str) -> None:
+    def add(
+        self,
+        events: np.ndarray,
+        label: int,
+        name: str,
+        outline: np.ndarray | None = None,
+        outlined_us: int = 0,
+    ) -> None:
         """Append a recording.
 
         Parameters
@@ -144,6 +161,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         events : structured array of `EVENT_DTYPE`.
         label : index of its class.
         name : its name in messages and reports.
+        outline, outlined_us : its row of `Recordings.outlines`, and the time of that row's last
+            moment; None: not known.
 
         Raises
         ------
@@ -161,6 +180,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._offsets.append(self._offsets[-1] + len(t))
         self._labels.append(label)
         self._names.append(name)
+        self._outlines.append(outline)
+        self._outlined_us.append(outlined_us)
 
     def extend(self, recordings: Recordings) -> None:
         """Append all recordings of `recordings`.
@@ -177,6 +198,12 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._offsets += (self._offsets[-1] + recordings.offsets[1:]).tolist()
         self._labels += recordings.labels.tolist()
         self._names += recordings.names
+        if recordings.outlines is not None and recordings.outlined_us is not None:
+            self._outlines += list(recordings.outlines)
+            self._outlined_us += recordings.outlined_us.tolist()
+        else:
+            self._outlines += [None] * len(recordings)
+            self._outlined_us += [0] * len(recordings)
 
     def finish(self) -> Recordings:
         """All recordings that were added. Call this once, after the last recording.
@@ -185,12 +212,26 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         """
         columns = {name: self._column(file, COLUMNS[name]) for name, file in self._files.items()}
         offsets = np.array(self._offsets, np.int64)
+        outlines = self._all_outlines()
         return Recordings(
             **columns,
             offsets=offsets,
             labels=np.array(self._labels, np.int64),
             names=tuple(self._names),
+            outlines=outlines,
+            outlined_us=None if outlines is None else np.array(self._outlined_us, np.int64),
         )
+
+    def _all_outlines(self) -> np.ndarray | None:
+        """The outlines of all recordings; None if none is known."""
+        shape = next((outline.shape for outline in self._outlines if outline is not None), None)
+        if shape is None:
+            return None
+        outlines = np.full((len(self._outlines), *shape), np.nan, np.float32)
+        for k, outline in enumerate(self._outlines):
+            if outline is not None:
+                outlines[k] = outline
+        return outlines
 
     def _column(self, file: Any, dtype: type) -> np.ndarray:
         """The column that was written into a file."""

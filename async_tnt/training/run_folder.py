@@ -28,7 +28,7 @@ from async_tnt.training.windows import Windows
 CHECKPOINT = "checkpoint.pt"
 HISTORY = "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 9
+FORMAT = 10
 """Version of the checkpoint."""
 CHUNK = 1 << 24
 """Number of events that a checksum takes at once. Ctrl-C takes effect only between two chunks."""
@@ -119,6 +119,7 @@ def identity_of(
             "training_windows": len(data.training),
             "validation_windows": len(data.validation),
             "data": windows_checksum(data.training, data.validation),
+            "scenes": None if data.scenes is None else data.scenes.to_dict(),
             "classes": data.classes,
             "motions": None if motions is None else asdict(motions),
             "network_file": zlib.crc32(read_regular(own_file)) if own_file else None,
@@ -147,8 +148,10 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
     if validation.recordings is not training.recordings:
         recordings.append(validation.recordings)
     for columns in recordings:
-        for name in ("offsets", *COLUMNS):
+        for name in ("offsets", *COLUMNS, "outlines"):
             column = getattr(columns, name)
+            if column is None:
+                continue
             for first in range(0, len(column), CHUNK):
                 part = np.ascontiguousarray(column[first : first + CHUNK])
                 checksum = zlib.crc32(part.data, checksum)

@@ -57,6 +57,9 @@ EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
 """Values of `TrainSettings` that differ from `RECIPE` for a map model. Classes are not balanced,
 because in scenes "nothing" is far more frequent than any class anyway."""
 
+OF_SCALES = "pyramid"
+"""The default network of a map model that learns objects of many sizes."""
+
 LONGER_SIDE = 120
 """Most cells along the longer side of a default grid."""
 BINS = 5

@@ -34,7 +34,12 @@ from async_tnt.base.messages import one_line
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
 from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
-from async_tnt.simulation.picture_scene import SceneSettings, record_picture
+from async_tnt.simulation.outlines import MOMENTS, POINTS
+from async_tnt.simulation.picture_scene import (
+    PictureRecording,
+    SceneSettings,
+    record_picture,
+)
 from async_tnt.simulation.pictures import SUFFIXES, read_picture
 from async_tnt.sources.files.labelled_recordings import class_folders, find_recordings
 from async_tnt.sources.files.recording import open_recording
@@ -45,7 +50,7 @@ from async_tnt.training.work import Work
 from async_tnt.volume.events import structured
 
 MANIFEST = "pictures.json"
-FORMAT = 4
+FORMAT = 5
 """Version of the recordings. It grows by 1 with each change of what is simulated."""
 
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
@@ -62,6 +67,9 @@ is in inverse proportion to its number of pixels."""
 FOLLOWED = 6
 """Average factor by which a simulation takes longer if the sensor follows the object. Each pixel of
 such a sensor counts this many times."""
+CUT_OUT = 0.25
+"""Average share of the pixels of a sensor that is cut out around objects of many sizes that are
+simulated."""
 LEAST_SHARE = 0.1
 """Least share of `RECORDINGS` that a sensor has, however large it is."""
 CHUNK = 200
@@ -323,15 +331,21 @@ def simulate_pictures(
     bar = progress(n_all, "simulating pictures", done=n_all - n_missing)
     run_counted(job, missing, workers, bar)
     for chunk in chunks:
-        for events, (picture, _, take) in zip(_read(chunk), chunk.takes, strict=True):
-            writer.add(events, picture.label, f"{picture.name}, take {take + 1}")
+        for recording, (picture, _, take) in zip(_read(chunk), chunk.takes, strict=True):
+            name = f"{picture.name}, take {take + 1}"
+            writer.add(recording.events, picture.label, name, recording.outline, settings.window_us)
     return n_takes
 
 
 def _share_of_recordings(settings: SceneSettings) -> float:
     """The share of `RECORDINGS` that a sensor has; see `FULL_PIXELS`."""
     width, height = settings.sensor
-    n_pixels = width * height * (FOLLOWED if settings.follow else 1)
+    factor = 1.0
+    if settings.follow:
+        factor = FOLLOWED
+    if settings.cut_out:
+        factor = CUT_OUT
+    n_pixels = width * height * factor
     return float(np.clip(FULL_PIXELS / n_pixels, LEAST_SHARE, 1))
 
 
@@ -382,21 +396,24 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
             rng = np.random.default_rng((*seed, i, take))
             recordings.append(record_picture(picture, settings, rng))
     columns: dict[str, Any] = {
-        name: np.concatenate([events[name].astype(dtype) for events in recordings])
+        name: np.concatenate([one.events[name].astype(dtype) for one in recordings])
         for name, dtype in COLUMNS.items()
     }
+    columns["sizes"] = np.array([len(one.events) for one in recordings])
+    columns["outlines"] = np.stack([one.outline for one in recordings])
     with replacing(chunk.file) as part, part.open("wb") as file:
-        np.savez(file, sizes=np.array([len(events) for events in recordings]), **columns)
+        np.savez(file, **columns)
     return len(recordings)
 
 
-def _read(chunk: _Chunk) -> list[np.ndarray]:
+def _read(chunk: _Chunk) -> list[PictureRecording]:
     """Read the recordings of a chunk's file."""
-    *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
+    *columns, sizes, outlines = read_arrays(chunk.file, *COLUMNS, "sizes", "outlines")
     has_types = [column.dtype for column in columns] == list(COLUMNS.values())
     is_whole = (
         has_types
         and sizes.shape == (len(chunk.takes),)
+        and outlines.shape == (len(chunk.takes), MOMENTS, POINTS, 2)
         and all(column.shape == (sizes.sum(),) for column in columns)
     )
     if not is_whole:
@@ -404,7 +421,8 @@ def _read(chunk: _Chunk) -> list[np.ndarray]:
             f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove "
             f"{chunk.file.parent}"
         )
-    return np.split(structured(columns), np.cumsum(sizes)[:-1])
+    events = np.split(structured(columns), np.cumsum(sizes)[:-1])
+    return [PictureRecording(*one) for one in zip(events, outlines, strict=True)]
 
 
 def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
@@ -446,7 +464,7 @@ def example_recordings(
             with contextlib.suppress(ValueError, OSError):
                 picture = read_picture(path)
                 takes = [
-                    record_picture(picture, settings, np.random.default_rng((seed, row, k)))
+                    record_picture(picture, settings, np.random.default_rng((seed, row, k))).events
                     for k in range(N_TAKES)
                 ]
                 examples.append((name, picture.light, takes))

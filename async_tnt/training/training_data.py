@@ -31,6 +31,8 @@ class TrainingData:
     masked : bool, (H, W): pixels of the sensor whose events were left out; None: no such pixel.
     left_out : the recordings that were left out and why, one line each.
     notes : what else a user should know, one line each.
+    scenes : how the events of scenes become volumes, if scenes have objects of many sizes, see
+        `scenes.SceneMaker`.
     """
 
     config: TNTConfig
@@ -43,3 +45,4 @@ class TrainingData:
     masked: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    scenes: TNTConfig | None = None

@@ -222,12 +222,12 @@ def record(
             yield light
 
     t, x, y, p = pixel_events(pictures(), threshold, session.noise_hz, WINDOW_US, STEPS, rng)
-    t, x, y, p = _with_after_pulses(t, x, y, p, rng)
+    t, x, y, p = with_after_pulses(t, x, y, p, rng)
     is_in_window = t < WINDOW_US
     return in_order(t[is_in_window], x[is_in_window], y[is_in_window], p[is_in_window])
 
 
-def _with_after_pulses(
+def with_after_pulses(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
     """Columns of events, and behind them the columns of their after-pulses."""

@@ -12,6 +12,7 @@ from experiments.tables import (
     differences,
     flow,
     published,
+    scales,
     sliding,
     sliding_curves,
     spiking,
@@ -36,6 +37,7 @@ from experiments.tables.texts import (
     MOTIONS,
     NETWORKS,
     NOTHING,
+    OBJECT_SCALES,
     PATHS,
     PIXEL_OUTPUTS,
     RECIPE,
@@ -387,6 +389,23 @@ SECTIONS = (
                 "each second of the stream, which must stay below 1"
             ),
             streams.map_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Objects of many sizes",
+        text=OBJECT_SCALES,
+        command=(
+            "experiments.object_scales --out FOLDER --final --json "
+            "experiments/results/object_scales.json"
+        ),
+        tables={
+            scales.object_scales: "Boxes in made scenes, the final set",
+            scales.object_kinds: "F1 by kind at the end of the scenes",
+            scales.object_curve: (
+                "The learning curve in scenes of the tuning seed, on 240x180 after 100 ms: `python "
+                "-m experiments.object_scales --out FOLDER --json "
+                "experiments/results/object_scales_tuning.json`"
+            ),
         },
     ),
     Section(

@@ -49,24 +49,39 @@ def box_overlap(
 
 
 def boxes_on_map(
-    maps: torch.Tensor, scale: tuple[float, float], most_overlap: float = 0.5, near: int = 1
+    maps: torch.Tensor,
+    scale: tuple[float, float],
+    most_overlap: float = 0.5,
+    near: int = 1,
+    *,
+    has_places: bool = False,
 ) -> list[FoundObject]:
-    """The objects on a map whose last two channels say how large they are, the likeliest first.
+    """The objects on a map whose last channels say what boxes they have, the likeliest first.
 
-    At a peak of the logits, see `objects_on_map`, with the numbers a and b of these channels:
+    At a peak of the logits, see `objects_on_map`, with the numbers a and b of two channels:
 
         width = exp(min(max(a, -10), 10))    height = exp(min(max(b, -10), 10))
 
-    in columns and rows. From the likeliest on, an object is left out if its box overlaps by more
-    than `most_overlap` with that of an object of its class that is not left out.
+    in columns and rows. With the numbers c and d of two more, the place of an object is not the
+    mean over places around its peak, but
+
+        column = x + min(max(c, -10), 10)    row = y + min(max(d, -10), 10)
+
+    with the column x and the row y of the peak. From the likeliest on, an object is left out if its
+    box overlaps by more than `most_overlap` with that of an object of its class that is not left
+    out.
 
     Parameters
     ----------
-    maps : (K + 3, R, C).
+    maps : (K + n, R, C), with n channels that are no classes: 3, or 5 if they say places.
     scale : the distances between neighbouring columns and rows: boxes overlap in these units.
+    has_places : whether the map says where the middles of boxes are.
     """
+    n = 4 if has_places else 2
+    boxes = maps[-n:].double().clamp(-10, 10)
+    places = boxes[2:] if has_places else None
     kept: list[FoundObject] = []
-    for found in objects_on_map(maps[:-2], near, maps[-2:].double().clamp(-10, 10).exp()):
+    for found in objects_on_map(maps[:-n], near, boxes[:2].exp(), places):
         overlaps = [
             box_overlap(_scaled(found[2:4], scale), _scaled(found[4:], scale), place, size)
             for place, size in (
@@ -85,7 +100,10 @@ def _scaled(pair: tuple[float, ...], scale: tuple[float, float]) -> tuple[float,
 
 
 def objects_on_map(
-    logits: torch.Tensor, near: int = 1, sizes: torch.Tensor | None = None
+    logits: torch.Tensor,
+    near: int = 1,
+    sizes: torch.Tensor | None = None,
+    places: torch.Tensor | None = None,
 ) -> list[FoundObject]:
     """The objects on a map, the likeliest first; of equally likely ones the first, row by row.
 
@@ -102,6 +120,8 @@ def objects_on_map(
     logits : (K + 1, R, C): a channel for each class, then one for "no object here".
     near : number of rows and of columns around an object in which there is no other object.
     sizes : (2, R, C), the width and height of an object at each place; None: objects have none.
+    places : (2, R, C), how many columns to the right and how many rows down from each place an
+        object there is; None: its place is the mean above.
 
     Example
     -------
@@ -130,6 +150,9 @@ def objects_on_map(
         place_x = float((weights.sum(0) * xs).sum() / weights.sum())
         place_y = float((weights.sum(1) * ys).sum() / weights.sum())
         probability = float(probabilities[index, row, column])
+        if places is not None:
+            place_x = column + float(places[0, row, column])
+            place_y = row + float(places[1, row, column])
         width, height = (0.0, 0.0) if sizes is None else sizes[:, row, column].tolist()
         objects.append(FoundObject(index, probability, place_x, place_y, width, height))
     return sorted(objects, key=lambda found_object: -found_object.probability)

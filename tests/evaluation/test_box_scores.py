@@ -146,6 +146,58 @@ def test_a_recording_that_is_skipped_has_no_boxes(recording, program):
     assert json.loads(after)["coco"] == json.loads(before)["coco"]
 
 
+def test_sequences_of_dsec_detection(recording, program, tmp_path):
+    """Times are those of DSEC's clock, which the events' file gives by an offset."""
+    h5py = pytest.importorskip("h5py", reason="needs the extra `files`")
+    model, _ = recording
+    net = load_model(model)
+    replace(net, classes=("car", "train")).save(model)
+    fields = [("t", "u8"), *((name, "f8") for name in "xyhw"), ("class_id", "u1")]
+    fields += [("class_confidence", "f8"), ("track_id", "u8")]
+    start_us = 49_599_300_523
+    n = 10
+    for name in ("thun_02_a", "interlaken_00_a"):
+        sequence = tmp_path / "dsec" / name
+        for part in ("events/left", "object_detections/left"):
+            (sequence / part).mkdir(parents=True)
+        with h5py.File(sequence / "events/left/events.h5", "w") as file:
+            file["events/t"] = np.arange(n, dtype="u4")
+            file["events/x"] = np.full(n, 20, "u2")
+            file["events/y"] = np.full(n, 10, "u2")
+            file["events/p"] = np.ones(n, "u1")
+            file["t_offset"] = start_us
+        # a car where the model finds one, and a pedestrian, which it does not know
+        rows = [(start_us + 900, 16, 8, 4, 8, 2, 1, 0), (start_us + 900, 40, 8, 4, 8, 0, 1, 1)]
+        np.save(sequence / "object_detections/left/tracks.npy", np.array(rows, fields))
+    (tmp_path / "dsec/thun_03_a/object_detections/left").mkdir(parents=True)  # without events
+    for folder, n_recordings in ((tmp_path / "dsec", 2), (tmp_path / "dsec/thun_02_a", 1)):
+        code, out, err = program("evaluate", model, folder, "--sensor", "64x40", "--json")
+        report = json.loads(out)
+        assert code == 0 and report["recordings"] == n_recordings
+        assert report["per_class"]["car"]["f1"] == 1.0 and report["coco"]["map"] == 1.0
+        assert f"pedestrian ({n_recordings})" in err
+
+
+def test_a_folder_of_etram(recording, program, tmp_path):
+    """Prophesee's boxes beside a file in RVT's layout, which states its sensor."""
+    h5py = pytest.importorskip("h5py", reason="needs the extra `files`")
+    model, _ = recording
+    n = 10
+    (tmp_path / "etram").mkdir()
+    with h5py.File(tmp_path / "etram/val_day_001_td.h5", "w") as file:
+        file["events/t"] = 600_100 + np.arange(n)
+        file["events/x"] = np.full(n, 20, "u2")
+        file["events/y"] = np.full(n, 10, "u2")
+        file["events/p"] = np.ones(n, "u1")
+        file["events/width"] = 64
+        file["events/height"] = 40
+    fields = [("t", "i8"), *((name, "f4") for name in "xywh"), ("class_id", "u4"), ("id", "u4")]
+    rows = [(600_900, 16, 8, 8, 4, 0, 7)]
+    np.save(tmp_path / "etram/val_day_001_bbox.npy", np.array(rows, fields))
+    code, out, _ = program("evaluate", model, tmp_path / "etram", "--json")
+    assert code == 0 and json.loads(out)["coco"]["map"] == 1.0
+
+
 def test_windows_of_a_number_of_events_are_refused(recording, program):
     model, folder = recording
     loaded = load_model(model)

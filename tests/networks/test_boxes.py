@@ -29,8 +29,11 @@ CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "30"))
 """Number of random networks. ASYNC_TNT_FUZZ_CASES makes it a long run."""
 
 
-def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, stride=2):
-    """A network of a few convolutions, a head of classes and one of sizes."""
+def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, stride=2, of_boxes=2):
+    """A network of a few convolutions, a head of classes and one of boxes.
+
+    of_boxes : 2 for sizes, 4 for sizes and middles.
+    """
 
     class Net(nn.Module):
         def __init__(self):
@@ -41,11 +44,11 @@ def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, strid
                 nn.Conv2d(channels, channels, 3, padding=1),
             )
             self.logits = nn.Conv2d(channels, n_classes + 1, 1)
-            self.sizes = nn.Conv2d(channels, 2, 1)
+            self.boxes = nn.Conv2d(channels, of_boxes, 1)
 
         def forward(self, volume):
             x = torch.relu(self.stem(volume))
-            return torch.cat([self.logits(x), self.sizes(x)], 1)
+            return torch.cat([self.logits(x), self.boxes(x)], 1)
 
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -53,7 +56,7 @@ def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, strid
         with torch.no_grad():
             net.logits.bias[-1] += 0.15
             net.logits.weight.mul_(8)
-            net.sizes.weight.mul_(8)
+            net.boxes.weight.mul_(8)
     return Model.from_torch(net, config, [f"class {k}" for k in range(n_classes)])
 
 
@@ -61,8 +64,9 @@ def as_rows(objects):
     return [(o.index, o.probability, o.x, o.y, o.width, o.height) for o in objects]
 
 
-def expected_rows(maps, places):
-    found = boxes_on_map(torch.from_numpy(maps), (places.dx, places.dy))
+def expected_rows(maps, places, has_places):
+    scale = (places.dx, places.dy)
+    found = boxes_on_map(torch.from_numpy(maps), scale, has_places=has_places)
     return [
         (
             o.label,
@@ -132,10 +136,28 @@ def test_an_object_that_overlaps_a_likelier_one_of_its_class_is_left_out(second,
     assert len(decision.objects) == n_listed
 
 
+def test_the_middle_of_a_box_by_hand():
+    """Places are 4 pixels wide and high; that of the peak, (1, 1), is at (5.5, 5.5)."""
+    maps = np.zeros((7, 3, 8), np.float32)
+    maps[2] = 1.0  # nothing
+    maps[0, 1, 1] = 4.0
+    maps[0, 1, 2] = 3.0  # without the last two channels the object would lie between both
+    maps[3:, 1, 1] = np.log(2.0), np.log(0.5), 0.75, -0.25
+    maps[3:, 1, 2] = 1.0
+    maps[1, 1, 6] = 3.0
+    maps[5:, 1, 6] = 99.0, -99.0  # limited
+    config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
+    decision = Processor(config, classifier=lambda volume: maps, classes=["a", "b"]).fire()
+    a, b = decision.objects
+    assert (a.label, a.x, a.y) == ("a", 5.5 + 3.0, 5.5 - 1.0)
+    assert a.box == pytest.approx((4.5, 3.5, 12.5, 5.5))
+    assert (b.label, b.x, b.y) == ("b", 25.5 + 40.0, 5.5 - 40.0)
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("channel", [2, 3, 4])
+@pytest.mark.parametrize("channel", [2, 3, 4, 5, 6])
 def test_sizes_that_are_not_finite_are_refused_until_they_are(wrong, channel):
-    maps = np.zeros((5, 4, 5), np.float32)
+    maps = np.zeros((5 if channel < 5 else 7, 4, 5), np.float32)
     maps[channel, 0, 0] = wrong
     maps[1, 2, 3] = 2.0
     processor = Processor(CONFIG, classifier=lambda volume: maps, classes=["a", "b"])
@@ -148,18 +170,19 @@ def test_sizes_that_are_not_finite_are_refused_until_they_are(wrong, channel):
 numbers = st.one_of(st.sampled_from([-1.0, 0.0, 0.5, 1.0, 2.0]), st.floats(-99.0, 99.0, width=32))
 
 
+@pytest.mark.parametrize("of_boxes", [2, 4])
 @settings(max_examples=2 * settings.default.max_examples)
 @given(
-    st.tuples(st.integers(4, 6), st.integers(1, 9), st.sampled_from([2, 5, 66])).flatmap(
+    maps=st.tuples(st.integers(6, 8), st.integers(1, 9), st.sampled_from([2, 5, 66])).flatmap(
         lambda shape: arrays(np.float32, shape, elements=numbers)
     )
 )
-def test_boxes_of_any_map_are_those_of_the_reference(maps):
-    classes = [str(k) for k in range(len(maps) - 3)]
+def test_boxes_of_any_map_are_those_of_the_reference(maps, of_boxes):
+    classes = [str(k) for k in range(len(maps) - 1 - of_boxes)]
     decision = Processor(CONFIG, classifier=lambda volume: maps, classes=classes).fire()
     dy = 40 / maps.shape[1]
     dx = 70 / maps.shape[2]
-    found = boxes_on_map(torch.from_numpy(maps), (dx, dy))
+    found = boxes_on_map(torch.from_numpy(maps), (dx, dy), has_places=of_boxes == 4)
     probabilities = [thing.probability for thing in decision.objects]
     assert probabilities == sorted(probabilities, reverse=True)
     expected = [
@@ -198,27 +221,30 @@ def assert_stream_equals_whole_maps(model, events, size):
     decisions += processor.finish()
     assert len(decisions) == len(expected)
     n_found = 0
+    of_boxes = model.logits_shape[0] - len(model.classes) - 1
     for ours, theirs in zip(decisions, expected, strict=True):
         assert key(ours)[:5] == key(theirs)[:5]
         assert ours.objects == theirs.objects
         assert ours.probabilities.tobytes() == theirs.probabilities.tobytes()
-        if not has_near_ties(theirs.logits):
-            assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
+        if not has_near_ties(theirs.logits[:-of_boxes]):
+            rows = expected_rows(theirs.logits, model.places, of_boxes == 4)
+            assert_rows(as_rows(ours.objects), rows)
         n_found += len(ours.objects)
     return n_found
 
 
-def has_near_ties(maps):
+def has_near_ties(logits):
     """Whether two objects are so nearly as likely that rounding decides which comes first."""
-    found = objects_on_map(torch.from_numpy(maps[:-2]))
+    found = objects_on_map(torch.from_numpy(logits))
     apart = -np.diff([thing.probability for thing in found])
     return bool(((apart > 0) & (apart < 1e-12)).any())
 
 
+@pytest.mark.parametrize("of_boxes", [2, 4])
 @pytest.mark.parametrize("size", [1, 7, 300, 5000])
-def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
+def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size, of_boxes):
     events = random_events(2500, seed=size, sensor=CONFIG.sensor, duration_us=9500)
-    assert assert_stream_equals_whole_maps(box_model(), events, size) > 150
+    assert assert_stream_equals_whole_maps(box_model(of_boxes=of_boxes), events, size) > 150
 
 
 def test_random_networks():
@@ -243,6 +269,7 @@ def test_random_networks():
             channels=int(rng.choice([2, 4, 9])),
             kernel=int(rng.choice([3, 5])),
             stride=int(rng.choice([1, 2, 4])),
+            of_boxes=int(rng.choice([2, 4])),
         )
         if len(model.logits_shape) < 3:
             continue
@@ -323,12 +350,13 @@ def test_a_model_with_boxes_is_kept_in_a_file_copied_and_moved_to_another_sensor
     assert found.fire().objects == expected.fire().objects != ()
 
 
-def test_an_exported_model_with_boxes(tmp_path):
+@pytest.mark.parametrize("of_boxes", [2, 4])
+def test_an_exported_model_with_boxes(tmp_path, of_boxes):
     onnx = pytest.importorskip("onnx", reason="needs the extra `onnx`")
     pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
     from async_tnt.networks import OnnxClassifier, to_onnx
 
-    model = box_model()
+    model = box_model(of_boxes=of_boxes)
     onnx.save(to_onnx(model), tmp_path / "m.onnx")
     classifier = OnnxClassifier(tmp_path / "m.onnx")
     assert classifier.n_classes == 3 and classifier.classes == model.classes

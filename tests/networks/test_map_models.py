@@ -617,6 +617,81 @@ def test_the_grid_of_another_sensor_has_its_scale(sensor, grid):
     assert model.logits_shape == (2, height, width)
 
 
+@pytest.fixture
+def counting():
+    """A model by share whose map is the volume of counts, with a place a cell."""
+    config = PIXELS.replace(sensor=(48, 24), grid=(48, 24), polarity="split")
+    counts = nn.Conv2d(2, 2, 1, bias=False)
+    with torch.no_grad():
+        counts.weight.copy_(torch.eye(2)[:, :, None, None])
+    return replace(Model.from_torch(counts, config, ["a"]), by_share=True)
+
+
+def a_turn_of_all_pixels(sensor):
+    """An event of each pixel."""
+    width, height = sensor
+    y, x = (column.ravel() for column in np.mgrid[:height, :width])
+    return events_of(np.arange(x.size) // 64, x, y, np.ones(x.size, int))
+
+
+@pytest.mark.parametrize("sensor", [(96, 48), (640, 320)])
+def test_by_share_the_cells_stay_and_count_means_over_pixels(counting, sensor):
+    model = counting.for_sensor(sensor)
+    assert (model.config.sensor, model.config.grid) == (sensor, (48, 24))
+    volume = TNTVolume(model.config)
+    volume.update(a_turn_of_all_pixels(sensor))
+    on = CompiledClassifier(model).refresh(volume)[0]
+    # cells at the border have fewer pixels
+    assert on[4:-4, 4:-4].mean() == pytest.approx(1.0, rel=0.01)
+    again = model.for_sensor((48, 24))
+    assert len(again.network["classifier"]) == len(model.network["classifier"])
+    own = TNTVolume(again.config)
+    own.update(random_events(300, sensor=(48, 24), duration_us=900))
+    found = CompiledClassifier(again).refresh(own)
+    np.testing.assert_allclose(found, CompiledClassifier(counting).refresh(own), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "sensor, grid",
+    [((48, 24), (48, 24)), ((346, 260), (32, 24)), ((1280, 720), (40, 24)), ((9, 90), (24, 240))],
+)
+def test_by_share_the_grid_has_as_many_cells_along_the_shorter_side(counting, sensor, grid):
+    """Both sides are multiples of 8."""
+    assert counting.for_sensor(sensor).config.grid == grid
+
+
+def test_a_stream_through_a_model_by_share_has_the_bits_of_whole_maps(counting, tmp_path):
+    path = counting.save(tmp_path / "m.safetensors")
+    loaded = load_model(path)
+    assert loaded.by_share and not load_model(map_model().save(path)).by_share
+    model = loaded.for_sensor((100, 60))
+    processor = Processor(model)
+    volume = TNTVolume(model.config)
+    for seed in range(3):
+        events = random_events(200, seed=seed, sensor=(100, 60), duration_us=300)
+        events["t"] += 300 * seed
+        processor.push(events)
+        volume.update(events)
+        expected = CompiledClassifier(model)(volume.array)
+        assert processor.fire().logits.tobytes() == expected.tobytes()
+
+
+def test_an_exported_model_is_by_share_when_it_is_read_again(counting, tmp_path):
+    wide = counting.for_sensor((100, 60))
+    path = tmp_path / "m.onnx"
+    path.write_bytes(to_onnx(wide).SerializeToString())
+    again = load_model(path)
+    assert again.by_share
+    assert again.for_sensor((48, 24)).config.grid == wide.for_sensor((48, 24)).config.grid
+
+
+def test_only_a_model_of_objects_knows_them_by_share():
+    with pytest.raises(ValueError, match="`by_share` is for a model that finds objects"):
+        replace(random_model(CONFIG), by_share=True)
+    with pytest.raises(TypeError, match="`by_share` must be a bool, got 1"):
+        replace(map_model(), by_share=1)
+
+
 def test_what_a_map_model_refuses():
     model = map_model()
     with pytest.raises(ValueError, match="needs transform='none'"):

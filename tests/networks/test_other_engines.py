@@ -144,8 +144,8 @@ WRONG = [
     ),
     (
         network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
-        "must have one output, logits (1, n_classes), or a map (1, n_classes + 1, R, C) or "
-        "(1, n_classes + 3, R, C), "
+        "must have one output, logits (1, n_classes), or a map (1, n_classes + n, R, C) with n of "
+        "1, 3 or 5, "
         "tensor(float); got 'one' "
         "tensor(float) (1, 2, 6, 5), 'two' ",
     ),
@@ -159,8 +159,8 @@ WRONG = [
             outputs=[("scores", (1, 60))],
             output_dtype=TensorProto.DOUBLE,
         ),
-        "must have one output, logits (1, n_classes), or a map (1, n_classes + 1, R, C) or "
-        "(1, n_classes + 3, R, C), "
+        "must have one output, logits (1, n_classes), or a map (1, n_classes + n, R, C) with n of "
+        "1, 3 or 5, "
         "tensor(float); got 'scores' tensor(double) (1, 60)",
     ),
     (
@@ -173,8 +173,8 @@ WRONG = [
             [node("Transpose", ["image"], ["scores"], perm=[1, 0, 2, 3])],
             outputs=[("scores", (2, 1, 6, 5))],
         ),
-        "must give logits (1, n_classes), or a map (1, n_classes + 1, R, C) or "
-        "(1, n_classes + 3, R, C), of a volume, got "
+        "must give logits (1, n_classes), or a map (1, n_classes + n, R, C) with n of "
+        "1, 3 or 5, of a volume, got "
         "shape (2, 1, 6, 5)",
     ),
 ]
@@ -226,8 +226,8 @@ def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_pat
         (
             lambda: TorchClassifier(lambda v: v[None])(VOLUME),
             ValueError,
-            "the module must return logits (1, n_classes), or a map (1, n_classes + 1, R, C) or "
-            "(1, n_classes + 3, R, C), got "
+            "the module must return logits (1, n_classes), or a map (1, n_classes + n, R, C) with "
+            "n of 1, 3 or 5, got "
             "shape (1, 1, 2,",
         ),
         (

@@ -476,7 +476,7 @@ def test_an_unknown_light_is_refused(light):
 
 def recordings(picture, n=60, scene=SETTINGS):
     """n recordings of a picture, each with another seed."""
-    return [record_picture(picture, scene, np.random.default_rng(i)) for i in range(n)]
+    return [record_picture(picture, scene, np.random.default_rng(i)).events for i in range(n)]
 
 
 def test_recordings_are_events_of_the_sensor_and_repeat(tmp_path):

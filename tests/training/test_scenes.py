@@ -19,8 +19,8 @@ from async_tnt.training import scenes as module
 from async_tnt.training.augment import Augmentation, unchanged
 from async_tnt.training.objectives import SceneScores
 from async_tnt.training.pipeline import Pipeline
-from async_tnt.training.recordings import Recordings
-from async_tnt.training.scenes import SceneMaker, Scenes
+from async_tnt.training.recordings import Recordings, RecordingsWriter
+from async_tnt.training.scenes import Scales, SceneMaker, Scenes
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows, make_windows
 
@@ -132,14 +132,14 @@ def test_an_object_may_stand_anywhere_on_the_scene_and_nowhere_beyond():
     """On 60 x 48 pixels, as likely at one place as at another."""
     maker = SceneMaker(CONFIG)
     rng = np.random.default_rng(0)
-    places = np.array([maker._place(np.empty((0, 2)), rng) for _ in range(1_000)])
+    places = np.array([maker._place(np.empty((0, 2)), np.empty(0), rng) for _ in range(1_000)])
     for axis, last in enumerate((59, 47)):
         counts, _ = np.histogram(places[:, axis], bins=5, range=(0, last))
         assert counts.sum() == 1_000  # none is beyond
         np.testing.assert_allclose(counts, 200, rtol=0.25)
     # one beside another object does not stand beyond the border either
     corner = np.array([[59.0, 0.0]])
-    tried = [maker._place(corner, rng) for _ in range(200)]
+    tried = [maker._place(corner, np.array([16.0]), rng) for _ in range(200)]
     beside = np.array([place for place in tried if place is not None])
     assert len(beside) > 100 and (beside >= 0).all() and (beside <= (59, 47)).all()
     # and is away from it by a share of a recording's shorter side, 16 pixels, or more
@@ -217,9 +217,9 @@ def test_the_places_near_an_object_name_its_class_and_those_around_it_nothing_at
     assert weight[1, 16:25, 20].tolist() == [1, 0, 4, 4, 4, 4, 4, 0, 1]
     assert (weight[1] == 4).sum() == 5 * 8 and (weight[1] == 0).sum() == 7 * 10 - 5 * 8
     # the logarithms of width and height in places, of at least a pixel
-    shown = sizes[1][target[1] == 2]
+    shown = sizes[1][target[1] == 2][:, :2]
     np.testing.assert_allclose(shown, np.tile(np.log([9.0, 5.0]), (len(shown), 1)), rtol=1e-6)
-    shown = sizes[1][target[1] == 0]
+    shown = sizes[1][target[1] == 0][:, :2]
     np.testing.assert_allclose(shown, np.tile(np.log([1.0, 4.0]), (len(shown), 1)), atol=1e-6)
 
 
@@ -265,7 +265,8 @@ def test_the_loss_of_sizes_is_a_mean_over_the_places_of_objects(monkeypatch):
     targets_of = objects._targets
     monkeypatch.setattr(objects, "_targets", lambda some: seen.append(targets_of(some)) or seen[-1])
     found = objects.loss(Pipeline(CONFIG, net), windows, unchanged(9, CONFIG))
-    ((target, weight, sizes),) = seen
+    ((target, weight, boxes),) = seen
+    sizes = boxes[..., :2]
     losses = np.log(np.exp(logits).sum()) - np.array(logits)
     of_classes = (losses[target] * weight).sum() / weight.sum()
     away = np.abs(np.log([4.0, 2.0]) - sizes[target < 3])
@@ -282,9 +283,10 @@ def test_a_box_is_that_of_most_of_an_objects_events():
     y = np.concatenate([rng.integers(3, 7, 400), [15]])
     events = events_of(np.arange(401), x, y, np.ones(401, int))
     windows = make_windows(Recordings.from_events([events], [0]), 1000)
-    middles, sizes = module._boxes(windows, np.array([1000]))
+    as_it_is = np.eye(2, 3)[None]
+    middles, sizes = module._boxes_of_events(windows, np.array([1000]), as_it_is)
     assert middles.tolist() == [[8.0, 4.5]] and sizes.tolist() == [[7.0, 4.0]]
-    middles, sizes = module._boxes(windows, np.array([0]))
+    middles, sizes = module._boxes_of_events(windows, np.array([0]), as_it_is)
     assert middles.tolist() == [[0.0, 0.0]] and sizes.tolist() == [[1.0, 1.0]]
 
     maker = SceneMaker(CONFIG)
@@ -435,3 +437,174 @@ def test_options_that_do_not_go_with_everywhere(tmp_path, program):
         "train", tmp_path / "bars", "--network", "map", "--out", tmp_path / "m.safetensors"
     )
     assert code == 2 and "must compute one logit for each class" in err
+
+
+def test_scenes_of_objects_of_many_sizes_have_the_boxes_of_their_outlines(no_noise):
+    """Two squares of 4 and 12 pixels, which move to the right by 6 pixels in a millisecond."""
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    config = CONFIG.replace(sensor=(40, 40), grid=(20, 20))
+    whole = CONFIG.replace(sensor=(120, 80), grid=(60, 40))
+    rng = np.random.default_rng(0)
+    with RecordingsWriter() as writer:
+        for k in range(30):
+            side = 4 if k % 2 else 12
+            middles = 20 + np.stack([np.linspace(-3, 3, 4), np.zeros(4)], axis=1)
+            outline = (side * corners + middles[:, None]).astype(np.float32)
+            t = np.sort(rng.integers(0, 400, 200))
+            x, y = rng.integers(20 - side // 2, 20 + side // 2, (2, 200))
+            writer.add(events_of(t, x, y, t % 2), k % 2, str(k), outline, 1000)
+        made = writer.finish()
+    windows = Windows(made, np.arange(30), np.zeros(30, np.int64))
+    maker = SceneMaker(config, whole)
+    assert maker.config == whole
+    draws = unchanged(30, config)
+    draws.until_us[:] = 500
+    scenes = maker(windows, draws, np.random.default_rng(0))
+    assert len(scenes.volumes) < 30 / module.OBJECTS
+    expected = np.where(scenes.label == 1, 4.0, 12.0)
+    np.testing.assert_allclose(scenes.size, np.stack([expected, expected], axis=1), rtol=1e-5)
+    for k in range(len(scenes.volumes)):
+        there = scenes.position[scenes.scene == k]
+        extents = scenes.size[scenes.scene == k].max(axis=1) / module.OF_RECORDING
+        away = np.hypot(*(there[:, None] - there[None]).transpose(2, 0, 1))
+        least = module.APART * (extents[:, None] + extents) / 2
+        np.fill_diagonal(away, np.inf)
+        assert (away > least - 2).all()  # places are moved to whole cells
+    # half of the scene has passed, or less of what began later: the squares are halfway or behind
+    boxes = module._boxes_of_outlines(windows, np.array([500] * 29 + [2000]), draws.matrix)
+    np.testing.assert_allclose(boxes[0, :29], 20, atol=1e-5)
+    np.testing.assert_allclose(boxes[0, 29], (23, 20), atol=1e-5)  # it stays where it was last
+    turned = draws.matrix.copy()
+    turned[:, :, :2] = np.sqrt(0.5) * np.array([[1, -1], [1, 1]])
+    boxes = module._boxes_of_outlines(windows, np.full(30, 500), turned)
+    np.testing.assert_allclose(boxes[1, 1], 4 * np.sqrt(2), rtol=1e-5)
+
+
+def test_outlines_that_are_not_known_leave_the_boxes_of_events(no_noise):
+    t = np.arange(100)
+    shown = events_of(t, 5 + t % 4, 3 + t % 2, t % 2)
+    other = events_of(t, 9 + t % 4, 3 + t % 2, t % 2)
+    square = np.full((2, 4, 2), 10.0, np.float32)
+    with RecordingsWriter() as writer:
+        writer.extend(Recordings.from_events([shown], [0]))
+        writer.add(other, 1, "other", square, 1000)
+        made = writer.finish()
+    assert made.outlined_us.tolist() == [0, 1000]
+    windows = Windows(made, np.arange(2), np.zeros(2, np.int64))
+    rng = np.random.default_rng(3)
+    sizes = {}
+    for _ in range(20):
+        scenes = SceneMaker(CONFIG)(windows, unchanged(2, CONFIG), rng)
+        sizes |= dict(zip(scenes.label.tolist(), scenes.size.tolist(), strict=True))
+    assert sizes == {0: [4.0, 2.0], 1: [0.0, 0.0]}
+    with pytest.raises(ValueError, match="recordings with outlines cannot be added"):
+        made + made
+
+
+@pytest.mark.parametrize("wrong", [(0.0, 0.5), (0.5, 0.4), (0.5, 1.5)])
+def test_sizes_that_are_no_shares_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"`scales` must be a range of shares within \(0, 1\]"):
+        Scales(*wrong)
+
+
+def test_the_sensor_that_is_cut_out_has_the_pixels_a_cell_of_the_whole_one():
+    whole = CONFIG.replace(sensor=(240, 180), grid=(160, 120))
+    scales = Scales(1 / 12, 1 / 3)
+    cut_out = scales.cut_out(whole)
+    assert (cut_out.sensor, cut_out.grid) == ((144, 144), (96, 96))
+    assert scales.on_cut_out(whole) == pytest.approx((15 / 144, 60 / 144))
+    assert scales.grid((240, 180)) == scales.grid((640, 480)) == (160, 120)
+
+
+def test_targets_reach_as_far_as_the_objects_are_large(monkeypatch):
+    """A map with a place a pixel: a small object has its nearest place, a large one has more."""
+    fine = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 8, 1))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: fine)
+    _, windows = recordings(1)
+    whole = CONFIG.replace(sensor=(60, 48), grid=(60, 48))
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c"), whole
+    )
+    scenes = Scenes(
+        np.zeros((1, 6, 48, 60)),
+        np.array([0, 0]),
+        np.array([2, 0]),
+        np.array([[10.3, 20.0], [40.0, 20.0]]),
+        np.array([[4.0, 2.0], [16.0, 8.0]]),  # extents of 5 and 20
+    )
+    target, weight, boxes = objects._targets(scenes)
+    assert target[0, 20, 8:13].tolist() == [3, 3, 2, 3, 3]
+    assert weight[0, 20, 8:14].tolist() == [1, 1, 16, 0, 1, 1]
+    assert target[0, 20, 37:44].tolist() == [3, 0, 0, 0, 0, 0, 3]
+    assert weight[0, 20, 34:39].tolist() == [1, 0, 0, 0, 16]
+    np.testing.assert_allclose(boxes[0, 20, 10], [np.log(4), np.log(2), 0.3, 0], atol=1e-6)
+    np.testing.assert_allclose(boxes[0, 19, 42], [np.log(16), np.log(8), -2, 1], atol=1e-6)
+
+
+def test_the_loss_of_middles_is_in_sizes_of_the_object(monkeypatch):
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 8, 1))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(1)
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    wanted = torch.tensor([[np.log(4.0), np.log(2.0), 1.0, 0.0]], dtype=torch.float32)
+    found = wanted + torch.tensor([[0.0, 0.0, 2.0, 0.1]])
+    # 2 / 4 = .5 of the width is beyond the square's reach of .1, and .1 / 2 = .05 of the height not
+    expected = ((0.5 - 0.05) + 0.05**2 / 0.2) / 2
+    expected *= objectives.BOX_WEIGHT
+    assert objects._of_boxes == 4
+    assert float(objects._loss_of_boxes(found, wanted)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_what_a_box_has_more_than_the_cells_around_it():
+    events = np.zeros((3, 20, 30))
+    events[:] = 0.5  # noise
+    events[1, 8:12, 10:20] += 3
+    middles = np.array([[14.5, 9.5], [14.5, 9.5], [0.0, 9.5]])
+    sizes = np.array([[9.0, 3.0]] * 3)
+    more = module._more_than_around(events, middles, sizes)
+    np.testing.assert_allclose(more, [0.0, 3 * 4 * 10, 0.0], atol=1e-9)
+
+
+def test_an_object_of_any_size_that_does_not_stand_out_of_the_noise_is_not_there(no_noise):
+    """Objects with noise around them, and objects with events of their own."""
+    rng = np.random.default_rng(0)
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    outline = np.tile(10 * corners + 20, (2, 1, 1)).astype(np.float32)
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40))
+    whole = CONFIG.replace(sensor=(120, 80), grid=(120, 80))
+    with RecordingsWriter() as writer:
+        for k in range(20):
+            t = np.sort(rng.integers(0, 1000, 120))
+            x, y = rng.integers(5, 35, (2, 120))
+            if k % 2:
+                x[:60], y[:60] = rng.integers(15, 26, (2, 60))
+            writer.add(events_of(t, x, y, t % 2), k % 2, str(k), outline, 1000)
+        windows = Windows(writer.finish(), np.arange(20), np.zeros(20, np.int64))
+    scenes = SceneMaker(config, whole)(windows, unchanged(20, config), np.random.default_rng(0))
+    assert (scenes.label == 1).all() and len(scenes.label) > 5
+
+
+def test_the_loss_of_objects_of_many_sizes_sees_nothing_less(monkeypatch):
+    """A network that gives all places the same logits; by hand from its targets and weights."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    logits = [0.5, 2.0, -1.0, 1.0]
+    with torch.no_grad():
+        net[0].weight.zero_()
+        net[0].bias.copy_(torch.tensor(logits))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(9)
+    whole = CONFIG.replace(sensor=(60, 48), grid=(60, 48))
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c"), whole
+    )
+    seen = []
+    targets_of = objects._targets
+    monkeypatch.setattr(objects, "_targets", lambda some: seen.append(targets_of(some)) or seen[-1])
+    found = objects.loss(Pipeline(CONFIG, net), windows, unchanged(9, CONFIG))
+    ((target, weight, _),) = seen
+    adjusted = np.array(logits) - [0, 0, 0, np.log(16 / 2)]
+    losses = np.log(np.exp(adjusted).sum()) - adjusted
+    expected = (losses[target] * weight).sum() / weight.sum()
+    assert found.loss.item() == pytest.approx(expected, rel=1e-5)

@@ -13,6 +13,7 @@ import pytest
 from damage import damaged_json
 from small_sets import write_pictures
 
+from async_tnt import load_model
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.simulation.pictures import read_picture
 from async_tnt.sources.pixels.pixels import Pixels
@@ -431,3 +432,49 @@ def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
     assert "recordings (simulated ones: of 4 pictures) right" in repeated[1]
     again, _, err = program(*words, "--size", ".5")
     assert again == 2 and "a run with other pictures (settings)" in err
+
+
+def test_objects_of_many_sizes_are_learned_in_scenes_of_the_sensor(tmp_path, program):
+    """A short training from the command line; the model knows objects by their share."""
+    write_pictures(tmp_path / "p")
+    out = tmp_path / "m.safetensors"
+    words = ["train", tmp_path / "p", "--everywhere", "--sensor", "96x64", "--scales", "0.2-0.5"]
+    code, _, err = program(*words, "--out", out, "--epochs", "1")
+    assert code == 0, err
+    model = load_model(out)
+    assert model.by_share and model.has_sizes
+    # the smallest objects have about 10 cells: 50 along the shorter side, in steps of 8
+    assert (model.config.sensor, model.config.grid) == ((96, 64), (72, 48))
+    assert model.logits_shape == (2 + 5, 12, 18) and model.record["network"] == "pyramid"
+    settings_of_pictures = model.record["data"]["pictures"]["settings"]
+    # 2.4 times the largest object of 32 pixels
+    assert settings_of_pictures["sensor"] == [77, 77] and settings_of_pictures["cut_out"] is True
+    assert np.array(settings_of_pictures["size"]) * 77 == pytest.approx([0.2 * 64, 0.5 * 64])
+    assert "f1" in model.record["validation"]
+    assert model.for_sensor((192, 128)).config.grid == (72, 48)
+    # it resumes from the run folder, and ends with the same weights
+    before = out.read_bytes()
+    code, _, err = program(*words, "--out", out, "--epochs", "1")
+    assert code == 0 and out.read_bytes() == before
+
+
+def test_which_options_go_with_sizes_of_objects(tmp_path, program):
+    write_pictures(tmp_path / "p", n=2)
+    words = ("train", tmp_path / "p", "--sensor", "48x32", "--out", tmp_path / "m.safetensors")
+    for more, message in [
+        (("--scales", "0.2-0.5"), "--scales is for --everywhere"),
+        (("--scales", "0.2-0.5", "--everywhere", "--size", "0.3"), "give --scales alone"),
+        (("--scales", "0.2-0.5", "--everywhere", "--grid", "40x36"), "multiples of 8"),
+    ]:
+        code, _, err = program(*words, *more)
+        assert code == 2 and message in err, err
+    t = np.arange(300)
+    for name in ("bar", "disc"):
+        path = tmp_path / "p" / name / "one.npz"
+        np.savez(path, t=t, x=(t + len(name)) % 48, y=t % 32, p=t % 2)
+    code, _, err = program(*words, "--scales", "0.2-0.5", "--everywhere")
+    assert code == 2 and "--scales is for pictures, which are recorded at any size" in err
+    for path in tmp_path.glob("p/*/*.png"):
+        path.unlink()
+    code, _, err = program(*words, "--scales", "0.2-0.5", "--everywhere")
+    assert code == 2 and "--scales are for pictures; DATASET holds none" in err

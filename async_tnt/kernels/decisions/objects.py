@@ -15,7 +15,12 @@ distances dx and dy between neighbouring places, in sensor pixels, an object at 
 
     width = dx exp(a),  height = dy exp(b)        with a and b limited to [-10, 10]
 
-Its box has this size around its position. Of two objects of a class whose boxes overlap by more
+Its box has this size around its position. Two more channels c and d may say where the middle of the
+box is. Then the position of an object at a peak is not a mean over places, but
+
+    x = (the peak's x) + dx c,  y = (the peak's y) + dy d        with c and d limited as well
+
+Of two objects of a class whose boxes overlap by more
 than SUPPRESSED, only the likelier one is listed. The overlap of two boxes is the area that they
 share, divided by the area that they cover together.
 
@@ -51,8 +56,8 @@ NEAR = 1
 """Rows and columns around a peak within which no score is larger."""
 SUPPRESSED = 0.5
 """The largest overlap of two boxes of a class that are both listed."""
-LARGEST_EXPONENT = 10.0
-"""The limit of the numbers that say how large an object is."""
+LARGEST = 10.0
+"""The limit of the numbers that say how large an object is, and where."""
 MOST_TRACKED = 256
 """How many objects of a decision, the likeliest ones, may take the number of an earlier one."""
 
@@ -63,12 +68,14 @@ DX = 2  # stride of the columns, in numbers
 DK = 3  # stride of the channels, in numbers
 ROWS = 4
 COLUMNS = 5
-CHANNELS = 6  # the classes, and then `nothing`; not the channels of sizes
+CHANNELS = 6  # the classes, and then `nothing`; not the channels of boxes
 NOT_FINITE = 7  # number of places with a logit that is not finite
 # How many steps write the map. Behind the header stands a number for each of these steps: where in
 # the program the record of its changes begins.
 N_SOURCES = 8
-HAS_SIZES = 9  # 1 if two channels behind `nothing` say how large objects are
+# How many channels behind `nothing` say what box an object has: none, 2 its size, or 4 its size and
+# where its middle is.
+N_OF_BOXES = 9
 ABOUT_SIZE = 10  # numbers in the header
 
 # `found`, float64: a row for each object
@@ -143,11 +150,11 @@ def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_
                 found[n, CLASS] = best
                 found[n, NUMBER] = n  # of the peak, until objects get their numbers
                 _write_position(scores, y, x, tracks[ON_SENSOR], found[n])
-                _write_size(maps, about, y, x, tracks[ON_SENSOR], found[n])
+                _write_box(maps, about, y, x, tracks[ON_SENSOR], found[n])
                 peak_bits &= peak_bits - np.uint64(1)  # clears the lowest bit
                 n += 1
     _sort(probabilities, found, n)
-    if about[HAS_SIZES] != 0:
+    if about[N_OF_BOXES] != 0:
         n = _suppress(probabilities, found, n)
     _number_objects(found, n, tracks, time_us, keep)
     return n
@@ -284,9 +291,8 @@ def _write_score(maps, about, scores, y, x):
         logit = maps[np.uint64(at + k * about[DK])]
         finite &= np.isfinite(logit)
         best = max(best, logit)
-    if about[HAS_SIZES] != 0:
-        for k in range(n_classes + 1, n_classes + 3):
-            finite &= np.isfinite(maps[np.uint64(at + k * about[DK])])
+    for k in range(n_classes + 1, n_classes + 1 + about[N_OF_BOXES]):
+        finite &= np.isfinite(maps[np.uint64(at + k * about[DK])])
     score = np.float64(best) - np.float64(nothing) if finite else np.nan
     about[NOT_FINITE] += np.int64(np.isnan(score)) - np.int64(np.isnan(scores[y, x]))
     scores[y, x] = score
@@ -365,21 +371,28 @@ def _write_position(scores, y, x, map_to_sensor, row):
 
 
 @compiled
-def _write_size(maps, about, y, x, map_to_sensor, row):
-    """Write the width and the height of an object at a peak; zeros if the map has none."""
+def _write_box(maps, about, y, x, map_to_sensor, row):
+    """Write the width and the height of an object at a peak; zeros if the map has none.
+
+    If the map says where the middles of boxes are, the position is written again.
+    """
     row[WIDTH] = 0.0
     row[HEIGHT] = 0.0
-    if about[HAS_SIZES] != 0:
-        at = about[FIRST] + y * about[DY] + x * about[DX] + about[CHANNELS] * about[DK]
-        row[WIDTH] = map_to_sensor[DX_PX] * _limited_exp(maps[at])
-        row[HEIGHT] = map_to_sensor[DY_PX] * _limited_exp(maps[at + about[DK]])
+    at = about[FIRST] + y * about[DY] + x * about[DX] + about[CHANNELS] * about[DK]
+    if about[N_OF_BOXES] > 0:
+        row[WIDTH] = map_to_sensor[DX_PX] * np.exp(_limited(maps[at]))
+        row[HEIGHT] = map_to_sensor[DY_PX] * np.exp(_limited(maps[at + about[DK]]))
+    if about[N_OF_BOXES] > 2:
+        aside = _limited(maps[at + 2 * about[DK]])
+        down = _limited(maps[at + 3 * about[DK]])
+        row[X] = map_to_sensor[X0] + map_to_sensor[DX_PX] * (x + aside)
+        row[Y] = map_to_sensor[Y0] + map_to_sensor[DY_PX] * (y + down)
 
 
 @compiled
-def _limited_exp(exponent):
-    """exp of a number that is limited to [-LARGEST_EXPONENT, LARGEST_EXPONENT]."""
-    limited = min(max(np.float64(exponent), -LARGEST_EXPONENT), LARGEST_EXPONENT)
-    return np.exp(limited)
+def _limited(number):
+    """A number that is limited to [-LARGEST, LARGEST]."""
+    return min(max(np.float64(number), -LARGEST), LARGEST)
 
 
 @compiled

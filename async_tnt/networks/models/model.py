@@ -33,7 +33,8 @@ from async_tnt.networks.layers.operations import OPERATIONS
 from async_tnt.networks.layers.reach import Work, work_of_one_event
 from async_tnt.networks.models.features import FEATURES, layers_up_to
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
-from async_tnt.networks.models.objects import Places, places_of
+from async_tnt.networks.models.objects import OF_BOXES, Places, n_of_boxes, places_of
+from async_tnt.networks.models.scaled_volume import with_scaled_volume
 from async_tnt.networks.spiking.operations import (
     NEURONS,
     SPIKING_OPERATIONS,
@@ -41,6 +42,7 @@ from async_tnt.networks.spiking.operations import (
 )
 from async_tnt.networks.spiking.outputs import check_spiking_outputs
 from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.sensor import Sensor
 
 if TYPE_CHECKING:
     from torch import nn
@@ -65,6 +67,16 @@ CENTROID = "heatmap_centroid"
 """The operation of a landmark network's last layer."""
 
 
+GRID_STEP = 8
+"""The sides of a grid that `for_sensor` chooses for a model that is `by_share` are multiples of it.
+So maps of half the size can be spread to the whole again."""
+
+
+def in_grid_steps(cells: float) -> int:
+    """The multiple of `GRID_STEP` that is nearest to a number of cells; at least one step."""
+    return GRID_STEP * max(1, round(cells / GRID_STEP))
+
+
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
     """A network and how events become the volume that it reads.
@@ -87,6 +99,8 @@ class Model:
         through.
     outputs : name of an output -> the layer of "classifier" that computes it. Only for a model
         without classes.
+    by_share : only for a map model: whether it knows objects by the share of the sensor that they
+        fill, and not by their pixels, see `for_sensor`.
 
     Raises
     ------
@@ -102,6 +116,7 @@ class Model:
     record: Mapping[str, Any] = field(default_factory=dict)
     network: Network = field(kw_only=True)
     outputs: Mapping[str, str] = field(default_factory=dict, kw_only=True)
+    by_share: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         is_ordered = isinstance(self.classes, Iterable) and not isinstance(
@@ -123,6 +138,10 @@ class Model:
         shapes = _checked_shapes(self.network, weights, self.config, self.outputs)
         if not self.outputs:
             _check_logits(list(shapes.values())[-1], len(self.classes), self.config)
+        if type(self.by_share) is not bool:
+            raise ParameterTypeError("by_share", "must be a bool", short(self.by_share))
+        if self.by_share and self.places is None:
+            raise ParameterValueError("by_share", "is for a model that finds objects")
 
     @property
     def is_spiking(self) -> bool:
@@ -329,12 +348,15 @@ class Model:
             classes=(),
             network=network,
             outputs={FEATURES: network[CLASSIFIER][-1]["name"]},
+            by_share=False,
         )
 
     @property
     def has_sizes(self) -> bool:
-        """Whether a map model says how large objects are, by two channels of its map."""
-        return self.places is not None and self.logits_shape[0] == len(self.classes) + 3
+        """Whether a map model says how large objects are, by two or four channels of its map."""
+        if self.places is None:
+            return False
+        return n_of_boxes(self.logits_shape[0], len(self.classes)) > 0
 
     @property
     def places(self) -> Places | None:
@@ -346,10 +368,16 @@ class Model:
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
         """A model with the same network for another sensor, at the same scale.
 
-        One pixel of the sensor still becomes as many pixels of the grid as before. This is meant
-        for map models, and for other networks that have only convolutions and poolings. A pooling
-        that had `ceil_mode` in torch keeps the padding that was computed for the first sensor. A
-        pooling that had None as one side in torch keeps the side that was computed for it.
+        One pixel of the sensor still becomes as many pixels of the grid as before. If the model is
+        `by_share`, the shorter side of the sensor does instead, so that objects that fill the same
+        share of it are as large on the grid. Then both sides of the grid are multiples of
+        `GRID_STEP`. A cell counts the mean over its pixels: where there are n times as many pixels
+        in a cell as before, the network reads the volume divided by n.
+
+        This is meant for map models, and for other networks that have only convolutions and
+        poolings. A pooling that had `ceil_mode` in torch keeps the padding that was computed for
+        the first sensor. A pooling that had None as one side in torch keeps the side that was
+        computed for it.
 
         Parameters
         ----------
@@ -361,6 +389,8 @@ class Model:
         """
         if len(sensor) != 2:
             raise ParameterValueError("sensor", "must be (width, height)", short(sensor))
+        if self.by_share:
+            return self._at_same_share((sensor[0], sensor[1]))
         grid = []
         for own_grid, own_side, side in zip(
             self.config.grid, self.config.sensor, sensor, strict=True
@@ -368,6 +398,28 @@ class Model:
             scale = own_grid / own_side
             grid.append(max(2, round(scale * side)))
         return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=tuple(grid)))
+
+    def _at_same_share(self, sensor: Sensor) -> Model:
+        """`for_sensor` of a model that is `by_share`."""
+        cells = min(self.config.grid) / min(sensor)
+        grid = (in_grid_steps(cells * sensor[0]), in_grid_steps(cells * sensor[1]))
+        config = self.config.replace(sensor=sensor, grid=grid)
+        if config == self.config:
+            return self
+        pixels = [_pixels_a_cell(one) for one in (self.config, config)]
+        layers, tensors = with_scaled_volume(
+            CLASSIFIER,
+            self.network[CLASSIFIER],
+            self.weights,
+            config.channels,
+            pixels[0] / pixels[1],
+        )
+        return replace(
+            self,
+            config=config,
+            weights={**self.weights, **tensors},
+            network={**self.network, CLASSIFIER: layers},
+        )
 
     @property
     def multiplications(self) -> int:
@@ -432,7 +484,7 @@ class Model:
     def description(self) -> dict[str, str]:
         """The metadata of a file: format, and configuration, classes and record as JSON.
 
-        Those of a model of raw outputs have `outputs`, too.
+        Those of a model of raw outputs have `outputs`, too, and `by_share` those of such a model.
 
         Raises
         ------
@@ -442,6 +494,8 @@ class Model:
         values["record"] = self.record
         if self.outputs:
             values["outputs"] = self.outputs
+        if self.by_share:
+            values["by_share"] = True
         file_format = FORMAT_OF_OUTPUTS if self.outputs else FORMAT
         if self.is_spiking:
             file_format = FORMAT_OF_SPIKES
@@ -481,6 +535,12 @@ def layers_of(model: Model, network: str) -> Sequence[Layer]:
         )
         raise ParameterValueError("model", rule)
     return model.network[network]
+
+
+def _pixels_a_cell(config: TNTConfig) -> float:
+    """The number of pixels in a cell of the grid, away from the border."""
+    sides = zip(config.sensor, config.grid, strict=True)
+    return math.prod((side - 1) / (cells - 1) for side, cells in sides)
 
 
 # -- what a model has to be ------------------------------------------------------------------------
@@ -558,15 +618,16 @@ def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
     """Refuse logits that are neither one number for each class nor a map.
 
     A map has a channel for each class, and then one for "no object here". Two more may say how
-    large objects are.
+    large objects are, and two more where their middles are.
     """
-    n_of_map = (n_classes + 1, n_classes + 3)
+    n_of_map = [n_classes + 1 + n for n in (0, *OF_BOXES)]
     is_map = len(logits) == 3 and logits[0] in n_of_map and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(
             f"the network must compute {n_classes} logits, one for each class, or a map of "
             f"{n_classes + 1} channels, one for each class and the last for nothing, or of "
-            f"{n_classes + 3}, with two more for the width and height of objects; got {logits}"
+            f"{n_classes + 3}, with two more for the width and height of objects, or of "
+            f"{n_classes + 5}, with two more for their middles; got {logits}"
         )
     if is_map and config.transform != "none":
         raise ValueError(

@@ -82,6 +82,7 @@ class Description(NamedTuple):
     classes: Any
     record: Any
     outputs: Any
+    by_share: Any
 
 
 def read_description(metadata: Mapping[str, str], *further_names: str) -> Description:
@@ -103,7 +104,8 @@ def read_description(metadata: Mapping[str, str], *further_names: str) -> Descri
     classes = parse_metadata(metadata, "classes")
     record = parse_metadata(metadata, "record")
     outputs = parse_metadata(metadata, "outputs") if "outputs" in metadata else {}
-    return Description(TNTConfig.from_dict(config), classes, record, outputs)
+    by_share = parse_metadata(metadata, "by_share") if "by_share" in metadata else False
+    return Description(TNTConfig.from_dict(config), classes, record, outputs, by_share)
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:

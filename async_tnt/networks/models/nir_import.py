@@ -106,6 +106,7 @@ def _relu_model(make: Callable[..., Made], graph: Graph) -> Made:
             description.record,
             network={CLASSIFIER: layers},
             outputs=outputs,
+            by_share=description.by_share,
         )
     except (ParameterError, TypeError) as error:  # about the file, not about a parameter
         raise ValueError(str(error)) from None

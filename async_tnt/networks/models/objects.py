@@ -1,7 +1,8 @@
 """The objects on the sensor and their places, read from a map of logits.
 
 The map has the shape (n_classes + 1, rows, columns). Its last channel means "no object here". With
-two channels more it also says how large objects are, see `kernels.decisions.objects`.
+two channels more it also says how large objects are, and with four also where their middles are,
+see `kernels.decisions.objects`.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ from async_tnt.volume.config import TNTConfig
 REACH = 4
 """How many places an object may move between two decisions and still be the same object."""
 
-LOGITS_SHAPES = "(1, n_classes), or a map (1, n_classes + 1, R, C) or (1, n_classes + 3, R, C)"
+LOGITS_SHAPES = "(1, n_classes), or a map (1, n_classes + n, R, C) with n of 1, 3 or 5"
 """The shapes of a network's answer, for messages."""
+
+OF_BOXES = (2, 4)
+"""How many channels of a map may say what boxes objects have, behind the channel for nothing."""
 
 
 class Places(NamedTuple):
@@ -70,6 +74,18 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
     )
 
 
+def n_of_boxes(channels: int, n_classes: int) -> int:
+    """How many of a map's channels say what boxes objects have: one of `OF_BOXES`, or 0.
+
+    Examples
+    --------
+    >>> n_of_boxes(11, 10), n_of_boxes(13, 10), n_of_boxes(15, 10)
+    (0, 2, 4)
+    """
+    n = channels - n_classes - 1
+    return n if n in OF_BOXES else 0
+
+
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
     """The shape in which an answer of this shape is read; None if it cannot be read.
 
@@ -99,7 +115,8 @@ class ObjectReader:
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps: a channel for each class, then one for "no object here"; or
-        (K + 3, R, C), with two more for the sizes of objects.
+        (K + 3, R, C), with two more for the sizes of objects; or (K + 5, R, C), with two more for
+        their middles.
     n_classes : K; None: maps have no sizes.
     layout : only for an incremental network: where its map begins, and the strides of the map's
         rows, columns and channels, in numbers.
@@ -122,13 +139,14 @@ class ObjectReader:
     ) -> None:
         self.shape = shape
         self.n_classes = shape[0] - 1 if n_classes is None else n_classes
-        self.has_sizes = shape[0] == self.n_classes + 3
+        of_boxes = n_of_boxes(shape[0], self.n_classes)
+        self.has_sizes = of_boxes > 0
         channels = self.n_classes + 1
         _, rows, columns = shape
         about = np.zeros(K.ABOUT_SIZE + len(sources), np.int64)
         about[[K.FIRST, K.DY, K.DX, K.DK]] = layout or (0, columns, 1, rows * columns)
         about[[K.ROWS, K.COLUMNS, K.CHANNELS, K.N_SOURCES]] = rows, columns, channels, len(sources)
-        about[K.HAS_SIZES] = self.has_sizes
+        about[K.N_OF_BOXES] = of_boxes
         about[K.ABOUT_SIZE :] = sources
         self.found = np.empty((most_objects(rows, columns), K.FOUND_SIZE))
         self.probabilities = np.empty((len(self.found), channels))

@@ -116,6 +116,7 @@ def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.nda
             exported.record,
             network=network,
             outputs=exported.outputs,
+            by_share=exported.by_share,
         )
     except NotImplementedError as error:
         raise ValueError(

@@ -33,6 +33,7 @@ class Exported:
     record: Mapping[str, Any]
     layers: list[Layer]
     outputs: Mapping[str, str]
+    by_share: bool
 
 
 def metadata_of(model: Model) -> dict[str, str]:
@@ -78,7 +79,7 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
         expected = f"{FORMAT!r} or {FORMAT_OF_OUTPUTS!r}"
         raise ValueError(f"metadata `format` must be {expected}, got {file_format!r}")
     try:
-        config, classes, record, outputs = read_description(metadata, CHECKSUM)
+        config, classes, record, outputs, by_share = read_description(metadata, CHECKSUM)
         layers = parse_metadata({"network": metadata.get("network", "")}, "network")
     except TypeError as error:
         raise ValueError(str(error)) from None
@@ -101,4 +102,4 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
             "its checksum differs; copy or export it again (where another program has changed it, "
             "remove `format` from its metadata)"
         )
-    return Exported(config, tuple(classes), record, layers, outputs)
+    return Exported(config, tuple(classes), record, layers, outputs, by_share)

@@ -18,7 +18,13 @@ from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.base.messages import one_line
 from async_tnt.base.running import Running, one_at_a_time
 from async_tnt.networks.layers.conversion_check import Function
-from async_tnt.networks.models.objects import LOGITS_SHAPES, Places, logits_shape, places_of
+from async_tnt.networks.models.objects import (
+    LOGITS_SHAPES,
+    Places,
+    logits_shape,
+    n_of_boxes,
+    places_of,
+)
 from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.volume.config import TNTConfig
 
@@ -95,7 +101,7 @@ class OnnxClassifier:
             self.classes = self.exported.classes
             if is_map:
                 self.places = _places_of(self.exported, self._name)
-                if len(self._answer) == len(self.classes) + 3:  # two channels say sizes
+                if n_of_boxes(len(self._answer), len(self.classes)):
                     self.n_classes = len(self.classes)
             self._check_exported(self.exported)
 

@@ -1,0 +1,70 @@
+"""The tables of one network for objects of many sizes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from experiments.tables.parts import of_report, results, table
+
+COCO = {"map_50": "mAP .5", "map": "mAP", "map_75": "mAP .75"}
+"""Name of a score -> its title."""
+
+AREAS = {"map_small": "below 32x32", "map_medium": "up to 96x96", "map_large": "above"}
+"""Name of the mean average precision of boxes of some areas -> the areas, in pixels."""
+
+
+def _three(values: list[float | None]) -> str:
+    """The mean of values with three digits, and their range if there are several; "" without."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return ""
+    mean = f"{np.mean(known):.3f}"
+    return mean if len(known) == 1 else f"{mean} ({min(known):.3f} to {max(known):.3f})"
+
+
+@of_report("object_scales")
+def object_scales(report: dict[str, Any]) -> str:
+    """A table of the scores in made scenes, by sensor and time."""
+    rows = []
+    models = report["models"]
+    for sensor in report["scenes"]:
+        scores = [model["scores"][sensor] for model in models]
+        for ms in (key for key in scores[0] if key.isdigit()):
+            of_time = [one[ms] for one in scores]
+            names = ("f1", *COCO, *AREAS)
+            cells = [_three([one[name] for one in of_time]) for name in names]
+            rows.append([sensor, ms, *cells])
+    areas = [f"mAP, {area}" for area in AREAS.values()]
+    return table(["sensor", "ms", "F1", *COCO.values(), *areas], rows)
+
+
+@of_report("object_scales")
+def object_kinds(report: dict[str, Any]) -> str:
+    """A table of F1 by kind at the end of the scenes."""
+    models = report["models"]
+    kinds = list(models[0]["scores"][next(iter(report["scenes"]))]["f1_of_kinds"])
+    rows = []
+    for sensor in report["scenes"]:
+        of_kinds = [model["scores"][sensor]["f1_of_kinds"] for model in models]
+        rows.append([sensor, *(_three([one[kind] for one in of_kinds]) for kind in kinds)])
+    return table(["sensor", *kinds], rows)
+
+
+def object_curve() -> str:
+    """A table of the learning curve in scenes of the tuning seed."""
+    (model, *_) = results("object_scales_tuning")["models"]
+    rows = [
+        [
+            str(row["epoch"]),
+            f"{row['windows']:,}",
+            f"{row['loss']:.3f}",
+            f"{row['held_out_f1']:.3f}",
+            f"{row['map_50']:.3f}",
+            f"{row['map']:.3f}",
+        ]
+        for row in model["curve"]
+    ]
+    head = ["epoch", "objects shown", "loss", "F1 in scenes of held-out pictures"]
+    return table([*head, "mAP .5", "mAP"], rows)
