@@ -141,7 +141,7 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
     for name, kind in KINDS.items():
         rng = np.random.default_rng(len(name))
         windows = (
-            _of_kind(kind, samples[k % len(samples)], config.sensor[0], config.window_us, rng)
+            of_kind(kind, samples[k % len(samples)], config.sensor[0], config.window_us, rng)
             for k in range(n_windows)
         )
         rows[name] = _share(processor, windows)
@@ -153,7 +153,7 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}
 
 
-def _of_kind(
+def of_kind(
     kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.random.Generator
 ) -> np.ndarray:
     """The first window of a recording, with its events moved to the places that `kind` makes."""

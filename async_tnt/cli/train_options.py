@@ -75,8 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-statistics",
         dest="statistics",
         action="store_false",
-        help="leave out the statistics of the classes, up to 3 MB of the file, without which "
-        "`async-tnt teach` needs recordings of them",
+        help="leave out what `teach` needs, up to 3 MB",
     )
     _add_held_out(parser.add_argument_group("what is held out"))
     _add_training_data(parser.add_argument_group("what is learned from"))
@@ -179,7 +178,7 @@ def _add_network(group: argparse._ActionsContainer) -> None:
         type=positive_int,
         metavar="N",
         help="number of epochs (default: 20, or as many as make 4000 steps; fewer if all "
-        "held-out windows stay right and their loss falls no more)",
+        "that is held out stays right)",
     )
     group.add_argument(
         "--seed",

@@ -69,23 +69,30 @@ class Row:
         return np.asarray(self.level + margin * self.rise)
 
 
-def row_of(taught: Moments, others: Sequence[Moments]) -> Row:
+def row_of(
+    taught: Moments,
+    others: Sequence[Moments],
+    *,
+    share: float = TAUGHT_SHARE,
+    ridge: float = RIDGE,
+) -> Row:
     """The row of a class.
 
     Parameters
     ----------
     taught : moments of u in windows of the class.
     others : moments of u in windows of each other class, and in windows that show none.
+    share, ridge : see `TAUGHT_SHARE` and `RIDGE`.
     """
     p = taught.size - 1
     phi = [*range(p), p + 1]  # of (x, s, 1)
-    share = (1.0 - TAUGHT_SHARE) / len(others)
-    rest = share * np.sum([moments.second for moments in others], axis=0)
-    mine = TAUGHT_SHARE * taught.second
+    of_each = (1.0 - share) / len(others)
+    rest = of_each * np.sum([moments.second for moments in others], axis=0)
+    mine = share * taught.second
     both = mine + rest
     gram = both[np.ix_(phi, phi)]
     spread = np.trace(gram[:p, :p]) / p
-    gram[np.arange(p), np.arange(p)] += RIDGE * spread if spread > 0 else 1.0
+    gram[np.arange(p), np.arange(p)] += ridge * spread if spread > 0 else 1.0
     targets = np.stack([both[phi, p], (mine - rest)[phi, -1]], axis=1)
     level, rise = np.linalg.solve(gram, targets).T
     return Row(level, rise)
