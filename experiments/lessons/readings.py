@@ -15,7 +15,7 @@ from async_tnt.networks.teaching.closed_form import weights_of
 from async_tnt.networks.teaching.statistics import Statistics
 from async_tnt.networks.teaching.teach import TrainedNetwork, joined
 from async_tnt.networks.teaching.window_readings import Readings, WindowReader
-from experiments.nothing import KINDS, of_kind
+from experiments.objects.no_objects import KINDS, of_kind
 
 SURE = 0.9
 """Probability from which on a decision is sure."""
