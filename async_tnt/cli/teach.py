@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,11 +14,11 @@ import numpy as np
 
 from async_tnt.base.files import check_writable, user_path
 from async_tnt.base.progress import Bar, progress
+from async_tnt.cli.lessons import LIVE_S, check_teachable, lesson_lines
 from async_tnt.cli.options import MODELS_TEXT, add_reading, model_of, positive_number, reading_of
 from async_tnt.cli.output import EXPECTED_ERRORS, message_of, note, say
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
 from async_tnt.networks.models.model import Model
-from async_tnt.networks.teaching.closed_form import LEAST_RECORDINGS
 from async_tnt.sources.files.labelled_recordings import (
     LabelledRecording,
     find_recordings,
@@ -55,15 +55,6 @@ A model without statistics needs recordings of its classes, once:
 --out may be MODEL itself: the file is replaced when the new one is complete. Exit code 0,
 or 2 for bad usage or bad input; nothing is written then.
 """
-
-LIVE_S = 10.0
-"""Seconds that are read of a camera or a network stream."""
-
-FEW = 10
-"""With fewer recordings the command says that more would help."""
-
-SHOWN = 3
-"""The most other classes whose share is told in words."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,11 +112,7 @@ def main(args: argparse.Namespace) -> int:
         model = _with_statistics(model, args.statistics, reader)
     elif not lessons and not args.forget:
         raise ValueError("give --class NAME RECORDING..., --forget NAME or --statistics DATASET")
-    elif model.statistics is None and _is_of_windows(model):
-        raise ValueError(
-            f"{args.model} has no statistics of its classes: train it again, or give recordings of "
-            "them as --statistics DATASET"
-        )
+    check_teachable(model, args.model)
     for name in args.forget:
         model = _changed("--forget", name, partial(model.without_class, name))
     for name, sources in lessons.items():
@@ -146,11 +133,6 @@ def _lessons(args: argparse.Namespace) -> dict[str, list[str]]:
             raise ValueError(f"--class {name} needs recordings behind the name")
         lessons[name] = sources
     return lessons
-
-
-def _is_of_windows(model: Model) -> bool:
-    """Whether the model decides about windows, so that classes can be taught to it."""
-    return bool(model.classes) and not model.is_spiking and model.places is None
 
 
 def _changed(option: str, name: str, change: Callable[[], Model]) -> Model:
@@ -319,25 +301,5 @@ def _print(
         say(json.dumps(report))
         return
     for name, entry in taught.items():
-        say(*_lesson_lines(name, entry))
+        say(*lesson_lines(name, entry))
     say(f"wrote {args.out}: {len(model.classes)} classes, {n_bytes / 1e6:.1f} MB")
-
-
-def _lesson_lines(name: str, entry: dict[str, Any]) -> Iterator[str]:
-    """Yield what a class was taught from, and what it takes of other classes, in words."""
-    n = entry["recordings"]
-    recordings = "1 recording" if n == 1 else f"{n} recordings"
-    yield f"{name}: taught from {recordings}, {entry['windows']} windows"
-    if n < LEAST_RECORDINGS:
-        yield (
-            f"  how many are right and how sure it is cannot be told from {n}: give "
-            f"{LEAST_RECORDINGS} or more; {FEW} are good"
-        )
-    else:
-        more = f"; {FEW} recordings are good" if n < FEW else ""
-        yield f"  {entry['left_out_right']:.0%} right of what was left out in turn{more}"
-    shares = sorted(entry["taken"].items(), key=lambda item: -item[1])
-    most = ", ".join(f"{share:.1%} of {other}" for other, share in shares[:SHOWN])
-    yield f"  takes, by the statistics, {most}" + (" and less of others" if shares[SHOWN:] else "")
-    if "taken_of_nothing" in entry:
-        yield f"  and {entry['taken_of_nothing']:.1%} of windows that show none of the classes"

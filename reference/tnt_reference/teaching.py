@@ -21,9 +21,11 @@ def taught_row(
 ) -> torch.Tensor:
     """The row r of a taught class: its logit is r . (x, 1).
 
-    r minimizes sum_c w_c mean_c (r . (x, 1) - s - margin y)^2 + a |r_x|^2, with y = 1 in the taught
-    class and y = -1 in each other class c. The taught class has the weight w = `share`, and all
-    others have equal parts of the rest. a is `ridge` times the mean of w x^2 over components.
+    It minimizes the following sum over classes c, with y = 1 in the taught class and y = -1 in each
+    other class. The taught class has the weight w = `share`, and all others have equal parts of the
+    rest. The weight a is `ridge` times the mean of w x^2 over components.
+
+        sum_c w_c mean_c (r . (x, 1) - s - margin y)^2 + a ||r_x||^2
 
     It is solved as a least-squares problem with a line for each reading and each component.
 

@@ -142,7 +142,7 @@ def test_statistics_come_from_a_data_set_once(program, base, lesson, refused, tm
     line = refused("--class", "d", lesson, model=without)
     assert line == (
         f"async-tnt: {without} has no statistics of its classes: train it again, or give "
-        "recordings of them as --statistics DATASET"
+        "recordings of them to async-tnt teach as --statistics DATASET"
     )
     for k, name in enumerate(CLASSES):
         for i in range(5):
@@ -207,3 +207,20 @@ def test_an_interrupted_lesson_leaves_the_old_file(program, base, lesson, tmp_pa
         assert code == 130 and "interrupted" in err
         assert path.read_bytes() == base.read_bytes()
         assert [one.name for one in tmp_path.glob("m*")] == ["m.safetensors"]
+
+
+def test_info_and_check_know_a_taught_model(program, base, lesson, tmp_path):
+    out = tmp_path / "more.safetensors"
+    assert program("teach", base, "--class", "d", lesson, "--out", out)[0] == 0
+    code, stdout, _ = program("info", out)
+    assert code == 0 and "MB of statistics; taught: d" in stdout
+    code, stdout, _ = program("info", out, "--json")
+    report = json.loads(stdout)
+    assert report["statistics"]["taught"] == ["d"]
+    assert report["statistics"]["trained"] == list(CLASSES)
+    assert report["record"]["taught"]["d"]["recordings"] == 6
+    code, stdout, _ = program("info", "digits", "--json")
+    assert json.loads(stdout)["statistics"] is None
+    pytest.importorskip("torch", reason="check compares with torch (extra `reference`)")
+    code, stdout, err = program("check", lesson / "0.npz", "--model", out)
+    assert code == 0, stdout + err

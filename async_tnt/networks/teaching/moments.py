@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from typing import Any
 
 import numpy as np
 
@@ -72,6 +73,10 @@ class Moments:
         scatter = self._full_scatter + other._full_scatter
         scatter += np.outer(between, between) * (self.count * share)
         return Moments._packed(count, self.mean + between * share, scatter)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickle has: the moments, without matrices that were computed of them."""
+        return {"count": self.count, "mean": self.mean, "scatter": self.scatter}
 
     @property
     def size(self) -> int:

@@ -126,6 +126,22 @@ def test_a_file_keeps_everything(tmp_path, model, taught):
     assert model.statistics.n_bytes < (tmp_path / "m.safetensors").stat().st_size
 
 
+def test_a_pickle_has_no_matrices_that_can_be_computed(taught):
+    small = len(pickle.dumps(load_model("digits"))) + taught.statistics.n_bytes
+    moments = pickle.loads(pickle.dumps(taught.statistics.moments["a"]))
+    assert taught.statistics.moments["a"].second.nbytes > 0
+    assert set(vars(moments)) == {"count", "mean", "scatter"}
+    np.testing.assert_array_equal(moments.covariance, taught.statistics.moments["a"].covariance)
+    assert len(pickle.dumps(taught)) < small
+
+
+def test_a_taught_class_costs_one_product_for_each_feature(model, taught):
+    n_features = len(model.statistics.center)
+    assert taught.multiplications == model.multiplications + n_features
+    twice = taught.with_class("e", [recording(4, i) for i in range(5)])
+    assert twice.multiplications == model.multiplications + 2 * n_features
+
+
 def test_a_taught_model_is_exported(taught):
     classifier = OnnxClassifier(to_onnx(taught))
     volume = np.random.default_rng(3).normal(size=CONFIG.shape).astype(np.float32)
