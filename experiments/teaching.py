@@ -1,16 +1,18 @@
 """A digit is taught to a network that was trained on the nine others, from a few recordings.
 
     python -m experiments.teaching [--nmnist N-MNIST] [--digits 4,6,...] [--out FOLDER]
-                                   [--again] [--fine] [--settings] [--json FILE] [--quick]
+                                   [--again | --fine | --settings] [--recordings 10,50]
+                                   [--json FILE] [--quick]
 
 Each digit is left out in turn. `async-tnt train` with no option but the sensor's size trains on the
 nine others, from Train. Then `Model.with_class` teaches the tenth from 1, 5, 10 or 50 recordings of
 Train, five draws each. The networks, and what is taught to them, read Test once.
 
---again trains on the nine digits and the same recordings (the first draw of 10 and of 50), again
-with no other option. --fine trains the network of nine further on all of them: four epochs, a
-quarter of the learning rate, the new logit from zero weights. --settings compares ridges, shares
-and numbers of components on the recordings that training held out of Train; Test is not read.
+Three options measure something else instead. --again trains on the nine digits and the same
+recordings (the first draw of --recordings), with no other option. --fine trains the network of nine
+further on all of them: four epochs, a quarter of the learning rate, the new logit from zero
+weights. --settings compares ridges, shares, margins and numbers of components on the recordings
+that training held out of Train; Test is not read.
 
 Finished trainings in --out are kept, and interrupted trainings resume. FILE keeps the entries of
 other digits.
@@ -201,9 +203,17 @@ def main(argv: list[str] | None = None) -> int:
         metavar="A,B,...",
         help=f"digits to leave out (default: {','.join(map(str, DIGITS))})",
     )
-    parser.add_argument("--again", action="store_true", help="also train on everything again")
-    parser.add_argument("--fine", action="store_true", help="also train the network further")
-    parser.add_argument("--settings", action="store_true", help="compare settings, without Test")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--again", action="store_true", help="train on everything again instead")
+    instead.add_argument("--fine", action="store_true", help="train the network further instead")
+    instead.add_argument("--settings", action="store_true", help="compare settings, without Test")
+    parser.add_argument(
+        "--recordings",
+        type=_counts,
+        default=COMPARED,
+        metavar="A,B,...",
+        help="numbers of recordings for --again and --fine (default: 10,50)",
+    )
     parser.add_argument(
         "--out", type=Path, default=Path("teaching"), metavar="FOLDER", help="models"
     )
@@ -236,14 +246,21 @@ def _measure(
     for name in names:
         if args.settings:
             add(f"settings {name}", setting_numbers(place, name))
-            continue
-        add(f"without {name}", taught_numbers(place, name, n_nothing))
-        for k in COMPARED:
-            if args.again:
-                add(f"again {name} {k}", again_numbers(place, name, k))
-            if args.fine:
-                add(f"fine {name} {k}", fine_numbers(place, name, k))
+        elif args.again or args.fine:
+            for k in args.recordings:
+                measure = again_numbers if args.again else fine_numbers
+                add(f"{'again' if args.again else 'fine'} {name} {k}", measure(place, name, k))
+        else:
+            add(f"without {name}", taught_numbers(place, name, n_nothing))
     return report
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    """Read numbers that commas separate. This is an argparse type."""
+    counts = tuple(int(word) for word in text.split(",") if word.isdigit())
+    if not counts or min(counts) < 1:
+        raise argparse.ArgumentTypeError(f"must be numbers such as 10,50, got {text!r}")
+    return counts
 
 
 def _digits(text: str) -> tuple[int, ...]:
