@@ -14,7 +14,6 @@ import numpy as np
 
 from async_tnt.base.files import check_writable, user_path
 from async_tnt.cli.lessons import check_teachable
-from async_tnt.cli.live_lessons import LiveLessons, typed_names
 from async_tnt.cli.options import (
     add_files,
     add_reading,
@@ -47,6 +46,7 @@ from async_tnt.streaming.streams import pieces_for
 from async_tnt.streaming.windows import TimeUnitCheck
 
 if TYPE_CHECKING:
+    from async_tnt.cli.live_lessons import LiveLessons
     from async_tnt.sources.queues.background_reader import BackgroundReader
 
 DESCRIPTION = """\
@@ -209,13 +209,23 @@ def _prepare(args: argparse.Namespace) -> _Run:
     # changes nothing.
     processor.fire()
     lines = DecisionLines(args.json, args.latency, of_outputs=processor.answers_are_views)
-    lessons = None
-    if args.teach is not None:
-        if not isinstance(engine.model, Model) or engine.classifier is not None:
-            raise ValueError(f"--teach needs a .safetensors model, got {args.model}")
-        check_teachable(engine.model, str(args.model))
-        lessons = LiveLessons(engine.model, args.teach, typed_names())
+    lessons = None if args.teach is None else _lessons(args, engine)
     return _Run(engine, processor, pixels, lines, lessons)
+
+
+def _lessons(args: argparse.Namespace, engine: Engine) -> LiveLessons:
+    """What teaches classes meanwhile, with --teach.
+
+    Raises
+    ------
+    ValueError : no class can be taught to the model, or stdin is no terminal.
+    """
+    from async_tnt.cli.live_lessons import LiveLessons, typed_names  # imports threads' pools
+
+    if not isinstance(engine.model, Model) or engine.classifier is not None:
+        raise ValueError(f"--teach needs a .safetensors model, got {args.model}")
+    check_teachable(engine.model, str(args.model))
+    return LiveLessons(engine.model, args.teach, typed_names())
 
 
 # -- recordings ------------------------------------------------------------------------------------

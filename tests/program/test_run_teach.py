@@ -12,7 +12,6 @@ from networks.teaching.lessons import CLASSES, CONFIG, of_classes, recording
 
 from async_tnt import load_model
 from async_tnt.cli import live_lessons
-from async_tnt.cli import run as command
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +40,11 @@ def typed(monkeypatch):
         queue = SimpleQueue()
         for word in words:
             queue.put(word)
-        monkeypatch.setattr(command, "typed_names", lambda: queue)
-        monkeypatch.setattr(live_lessons, "LIVE_S", 0.03)
+        monkeypatch.setattr(live_lessons, "typed_names", lambda: queue)
         original = live_lessons.LiveLessons
-        monkeypatch.setattr(command, "LiveLessons", lambda *given: original(*given, seconds=0.03))
+        monkeypatch.setattr(
+            live_lessons, "LiveLessons", lambda *given: original(*given, seconds=0.03)
+        )
 
     return names
 

@@ -429,10 +429,11 @@ class Model:
         >>> from async_tnt import load_model
         >>> from async_tnt.sources import open_recording, sample_recordings
         >>> model = load_model("digits")
-        >>> samples = {name: [open_recording(path)] for name, path in zip(
-        ...     model.classes, sample_recordings().values())}
-        >>> with_eights = model.with_statistics(samples).without_class("8")
-        >>> taught = with_eights.with_class("eight", samples["8"])
+        >>> samples = {
+        ...     str(digit): [open_recording(path)] for digit, path in sample_recordings().items()
+        ... }
+        >>> nine = model.with_statistics(samples).without_class("8")
+        >>> taught = nine.with_class("eight", samples["8"])
         >>> taught.classes[-1], len(taught.classes)
         ('eight', 10)
         """

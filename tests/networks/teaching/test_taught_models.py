@@ -355,6 +355,10 @@ def test_features_and_other_sensors_leave_statistics_behind(model):
     base = Model.from_torch(conv.eval(), CONFIG, CLASSES).with_statistics(of_classes())
     assert base.for_sensor((20, 16)).statistics is not None
     assert base.for_sensor((40, 32)).statistics is None
+    taught = base.with_class("d", [recording(3, 0)])
+    same(taught.for_sensor((20, 16)), taught)
+    with pytest.raises(ValueError, match=r"layer 'taught.dense' \(dense\): its weight must have"):
+        taught.for_sensor((40, 32))
 
 
 def test_statistics_of_another_model_are_refused(model):
