@@ -12,7 +12,7 @@ from async_tnt.base.checks import ParameterValueError
 from async_tnt.networks.layers.graph import CLASSIFIER, Network, layer_shapes
 from async_tnt.networks.layers.layer import Shape
 from async_tnt.networks.teaching.closed_form import choose_margin, others_of, row_of, taken
-from async_tnt.networks.teaching.moments import Moments, merged
+from async_tnt.networks.teaching.moments import Moments
 from async_tnt.networks.teaching.statistics import (
     Statistics,
     n_components_for,
@@ -213,7 +213,7 @@ def teach(
     vectors = [statistics.readings(one.features, one.logits) for one in found]
     others = others_of(statistics, name)
     choice = choose_margin(vectors, others)
-    moments = merged([Moments.of(u) for u in vectors])
+    moments = Moments.of(np.concatenate(vectors))
     row = row_of(moments, list(others.values()))
     shares = {
         other: round(taken(row, choice.margin, of_other), 5) for other, of_other in others.items()
