@@ -115,6 +115,9 @@ def main(args: argparse.Namespace) -> int:
     check_teachable(model, args.model)
     for name in args.forget:
         model = _changed("--forget", name, partial(model.without_class, name))
+    for name in lessons:  # before a camera is read for seconds
+        if name in model.classes:
+            raise ValueError(f"--class {name}: the model has this class; give --forget {name}, too")
     for name, sources in lessons.items():
         recordings = reader.read_all(name, sources)
         model = _changed("--class", name, partial(model.with_class, name, recordings))
@@ -185,16 +188,18 @@ class _Reader:
             else:
                 files.append(path)
         found = []
+        n_before = len(self.left_out)
         with progress(len(files), f"reading {label}") as bar:
             for file in files:
                 events = self._read_new(label, file)
                 if events is not None:
                     found.append(events)
                 bar.update()
-        for line in self.left_out:
+        left_out = self.left_out[n_before:]
+        for line in left_out:
             note(f"left out: {line}")
         if not found:
-            reason = self.left_out[-1] if self.left_out else "no recordings there"
+            reason = left_out[-1] if left_out else "no recordings there"
             raise ValueError(f"--class {label}: nothing to learn it from ({reason})")
         return found
 

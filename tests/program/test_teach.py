@@ -91,7 +91,7 @@ def test_the_same_file_is_taught_and_forgets_again(program, base, lesson, tmp_pa
     assert load_model(path).classes == (*CLASSES, "d")
     code, _, err = program("teach", path, "--class", "d", lesson, "--out", path)
     assert code == 2
-    assert "--class d: `name` must be a new class: forget the class of this name first" in err
+    assert "--class d: the model has this class; give --forget d, too" in err
     assert program("teach", path, "--forget", "d", "--out", path)[0] == 0
     assert path.read_bytes() == base.read_bytes()
 
@@ -167,7 +167,7 @@ def test_mistakes_are_named(refused, base, lesson, tmp_path):
         ((), "give --class NAME RECORDING..., --forget NAME or --statistics DATASET"),
         (("--class", "d"), "--class d needs recordings behind the name"),
         (("--class", "d", lesson, "--class", "d", lesson), "--class d is given twice"),
-        (("--class", "a", lesson), "--class a: `name` must be a new class"),
+        (("--class", "a", "udp://127.0.0.1:1"), "--class a: the model has this class; give --for"),
         (("--class", "", lesson), "`name` must be a text that can be printed"),
         (("--class", "d", tmp_path / "none.npz"), f"no recording {tmp_path / 'none.npz'}"),
         (("--class", "d", other), "a sensor of 64x48 pixels, but the model is for 20x16"),
