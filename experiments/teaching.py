@@ -3,6 +3,7 @@
     python -m experiments.teaching [--nmnist N-MNIST] [--digits 4,6,...] [--out FOLDER]
                                    [--again | --fine | --settings] [--recordings 10,50]
                                    [--json FILE] [--quick]
+    python -m experiments.teaching --poker POKER-DVS [--out FOLDER] [--json FILE]
 
 Each digit is left out in turn. `async-tnt train` with no option but the sensor's size trains on the
 nine others, from Train. Then `Model.with_class` teaches the tenth from 1, 5, 10 or 50 recordings of
@@ -13,6 +14,9 @@ recordings (the first draw of --recordings), with no other option. --fine trains
 further on all of them: four epochs, a quarter of the learning rate, the new logit from zero
 weights. --settings compares ridges, shares, margins and numbers of components on the recordings
 that training held out of Train; Test is not read.
+
+--poker leaves out each suit of POKER-DVS in turn, teaches it from 1, 5 or 10 recordings, and trains
+on everything again with the first draw of 10. The folder has pips_train and pips_test.
 
 Finished trainings in --out are kept, and interrupted trainings resume. FILE keeps the entries of
 other digits.
@@ -34,7 +38,7 @@ from async_tnt import Model, load_model, open_recording
 from async_tnt.networks.layers.graph import CLASSIFIER
 from async_tnt.training import dataset_data, fit, settings_for
 from experiments.digit_data.small_sets import write_small_nmnist
-from experiments.lessons.place import N_DRAWS, PER_CLASS, Place, files_of, link, train
+from experiments.lessons.place import N_DRAWS, Place, files_of, link, train
 from experiments.lessons.readings import (
     Part,
     chosen,
@@ -62,6 +66,9 @@ DIGITS = (4, 6, 2, 7, 3, 5, 9, 0, 8, 1)
 COMPARED = (10, 50)
 """Numbers of recordings with which networks are trained again."""
 
+POKER_COUNTS = (1, 5, 10)
+"""Numbers of recordings of a suit of POKER-DVS. Training learns from ten of the twelve."""
+
 N_OF_NOTHING = 100
 """Windows of each kind that shows no digit."""
 
@@ -83,7 +90,7 @@ def taught_numbers(place: Place, name: str, n_nothing: int) -> dict[str, Any]:
     base = old.score(old.readings.logits.astype(np.float64), len(model.classes))
     base["sure_of_nothing"] = sure_share(nothing, nothing.logits.astype(np.float64))
     rows: dict[str, list[dict[str, float]]] = {}
-    for k in PER_CLASS:
+    for k in place.per_class:
         rows[str(k)] = []
         for draw in range(N_DRAWS):
             events = [open_recording(file).read() for file in place.drawn(name, k, draw)]
@@ -196,6 +203,7 @@ def main(argv: list[str] | None = None) -> int:
     """Train, teach and test, print the tables, and write the report."""
     parser = script_parser("teaching", __doc__, "a made set and one epoch")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test (default: $TNT_DATA/nmnist)")
+    add_folder(parser, "--poker", "POKER-DVS, instead of N-MNIST")
     parser.add_argument(
         "--digits",
         type=_digits,
@@ -224,6 +232,10 @@ def main(argv: list[str] | None = None) -> int:
             options = ("--sensor", "34x34", "--epochs", "1")
             place = Place(nmnist / "Train", nmnist / "Test", Path(name) / "models", options)
             report = _measure(args, place, ["4"], 2)
+    elif args.poker is not None:
+        folders = (args.poker / "pips_train", args.poker / "pips_test")
+        place = Place(*folders, args.out / "poker", ("--sensor", "35x35"), POKER_COUNTS)
+        report = _measure_suits(args, place)
     else:
         nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
         place = Place(nmnist / "Train", nmnist / "Test", args.out, ("--sensor", "34x34"))
@@ -252,6 +264,18 @@ def _measure(
                 add(f"{'again' if args.again else 'fine'} {name} {k}", measure(place, name, k))
         else:
             add(f"without {name}", taught_numbers(place, name, n_nothing))
+    return report
+
+
+def _measure_suits(args: argparse.Namespace, place: Place) -> dict[str, Any]:
+    """Measure each suit of POKER-DVS. It is small, so everything is trained again at once."""
+    place.out.mkdir(parents=True, exist_ok=True)
+    report = {}
+    for name in place.classes:
+        numbers = taught_numbers(place, name, N_OF_NOTHING)
+        numbers["again"] = again_numbers(place, name, POKER_COUNTS[-1])
+        report[f"poker {name}"] = numbers
+        write_part(args, f"poker {name}", numbers)
     return report
 
 

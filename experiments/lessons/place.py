@@ -11,7 +11,7 @@ import numpy as np
 from experiments.scripts.processes import command
 
 PER_CLASS = (1, 5, 10, 50)
-"""Numbers of recordings of the new class."""
+"""Numbers of recordings of the new digit."""
 
 N_DRAWS = 5
 """Draws of the recordings."""
@@ -29,12 +29,14 @@ class Place:
     train, test : folders of class folders.
     out : folder of the models.
     options : options of `async-tnt train`.
+    per_class : numbers of recordings of the new class.
     """
 
     train: Path
     test: Path
     out: Path
     options: tuple[str, ...]
+    per_class: tuple[int, ...] = PER_CLASS
 
     @property
     def classes(self) -> list[str]:
@@ -58,8 +60,9 @@ class Place:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The recordings in a folder, by name."""
-    return sorted(path for path in folder.iterdir() if path.suffix in (".bin", ".npz"))
+    """The recordings in a folder, by their numbers."""
+    files = [path for path in folder.iterdir() if path.suffix in (".bin", ".npy", ".npz")]
+    return sorted(files, key=lambda path: (path.stem.zfill(9), path.name))
 
 
 def train(place: Place, name: str, extra: Mapping[str, Sequence[Path]]) -> Path:

@@ -12,7 +12,7 @@ from async_tnt import load_model, open_recording
 from async_tnt.networks.teaching.closed_form import MARGIN, RIDGE, TAUGHT_SHARE, row_of
 from async_tnt.networks.teaching.moments import Moments
 from async_tnt.networks.teaching.statistics import Statistics
-from experiments.lessons.place import N_DRAWS, PER_CLASS, Place, train
+from experiments.lessons.place import N_DRAWS, Place, train
 from experiments.lessons.readings import read_files, reader_of
 from experiments.speed.timing import machine
 
@@ -58,7 +58,7 @@ def setting_numbers(place: Place, name: str) -> dict[str, Any]:
     held_out = statistics.readings(part.readings.features, part.readings.logits)
     lessons = {
         (k, draw): statistics.readings(features, logits)
-        for k in PER_CLASS
+        for k in place.per_class
         for draw in range(N_DRAWS)
         for features, logits in [_lesson(reader, place.drawn(name, k, draw))]
     }

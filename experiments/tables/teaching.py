@@ -64,6 +64,27 @@ def teaching(report: dict[str, Any]) -> str:
 
 
 @of_report("teaching")
+def teaching_poker(report: dict[str, Any]) -> str:
+    """Suits of POKER-DVS: windows and recordings right."""
+    suits = _with(report, "poker")
+    if not suits:
+        return "Not measured yet."
+    rows = []
+    base = [
+        f"- / {_share(entry['base'][key] for entry in suits)} / -"
+        for key in ("old", "old_recordings")
+    ]
+    rows.append(["network of three", *base])
+    for k in suits[0]["taught"]:
+        rows.append([f"taught, {k}", *_cells(lambda key, k=k: _taught(suits, k, key))])  # type: ignore[misc]
+    again = _cells(lambda key: [entry["again"][key] for entry in suits])
+    rows.append([f"everything again, {suits[0]['again']['k']}", *again])
+    first = _cells(lambda key: [entry["taught"]["10"][0][key] for entry in suits])
+    rows.append(["taught, 10, the same recordings", *first])
+    return table(("way, recordings of the new class", "windows", "recordings"), rows)
+
+
+@of_report("teaching")
 def teaching_by_digit(report: dict[str, Any]) -> str:
     """Windows of each digit that was left out, and of the nine others."""
     rows = []
