@@ -127,6 +127,7 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
             start=model,
             motions=motions,
             teachers=teachers,
+            statistics=False,
             progress=progress,
         )
         if model is not None and step.kept:

@@ -229,7 +229,22 @@ def _model_report(model: Model) -> dict[str, Any]:
         "weights": sum(weights.size for weights in model.weights.values()),
         **_cost_report(model),
         "map": None if model.places is None else model.logits_shape[1:],
+        "statistics": _statistics_report(model),
         "record": model.record,
+    }
+
+
+def _statistics_report(model: Model) -> dict[str, Any] | None:
+    """What a model keeps of its classes, so that more can be taught; None: nothing."""
+    statistics = model.statistics
+    if statistics is None:
+        return None
+    return {
+        "bytes": statistics.n_bytes,
+        "layer": statistics.layer,
+        "components": statistics.n_components,
+        "trained": list(statistics.trained),
+        "taught": list(statistics.margins),
     }
 
 
@@ -323,6 +338,12 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
         yield f"  one event  {reach_text(model.work_of_one_event)}"
     if model.places is not None:
         yield f"  decides    objects, at {report['map'][1]}x{report['map'][0]} places of the sensor"
+    if model.statistics is not None:
+        taught = ", ".join(model.statistics.margins) or "none yet"
+        yield (
+            f"  teach      more classes, from {model.statistics.n_bytes / 1e6:.1f} MB of "
+            f"statistics; taught: {taught}"
+        )
     for key, value in model.record.items():
         if isinstance(value, (str, int, float)):
             yield f"  {key:<10} {value}"

@@ -28,6 +28,7 @@ COMMANDS = {
     "check": "prove that the stream equals the batch reference (extra: reference)",
     "bench": "measure what an event and a decision cost on this machine",
     "train": "train a model on recordings (extra: train)",
+    "teach": "teach a model one more class, from a few recordings",
     "evaluate": "report how well a model classifies a folder of held-out recordings",
     "mask": "find the hot pixels of recordings, which PixelFilter leaves out",
     "view": "show a stream in the Rerun viewer while it is classified (extra: view)",

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.base.files import check_writable, user_path
+from async_tnt.cli.lessons import check_teachable
 from async_tnt.cli.options import (
     add_files,
     add_reading,
@@ -34,6 +36,7 @@ from async_tnt.cli.output import (
 from async_tnt.cli.packets import add_keep_up, check_keep_up, check_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, map_model_sensor, model_pixels_of, pixels_of
 from async_tnt.networks.engines import Engine, choose_engine
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.compile_ahead import must_compile
 from async_tnt.streaming.decision import Decision, class_of_recording
@@ -43,6 +46,7 @@ from async_tnt.streaming.streams import pieces_for
 from async_tnt.streaming.windows import TimeUnitCheck
 
 if TYPE_CHECKING:
+    from async_tnt.cli.live_lessons import LiveLessons
     from async_tnt.sources.queues.background_reader import BackgroundReader
 
 DESCRIPTION = """\
@@ -59,6 +63,9 @@ largest number of each output.
                                              a camera, at most 20 ms behind (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy
                                              a part of it, without hot pixels
+  async-tnt run camera --model mine.safetensors --teach more.safetensors
+                                             type a name and Enter: what is shown for the
+                                             next ten seconds becomes a class of this name
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run --latency                    say also how long each decision took
   async-tnt run --model digits.onnx          a file of `async-tnt export`, run by onnxruntime
@@ -91,6 +98,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "network are pushed packet by packet",
     )
     parser.add_argument(
+        "--teach",
+        type=user_path,
+        metavar="FILE",
+        help="on a terminal, with a camera or the network: each line that you type is the name of "
+        "a class, which is taught by the next ten seconds of the stream; the model is written to "
+        "FILE then",
+    )
+    parser.add_argument(
         "--json", action="store_true", help="one JSON object a line for each decision"
     )
 
@@ -105,18 +120,21 @@ class _Run:
     processor : the Processor, which is reset before each source.
     pixels : the pixels whose events count.
     lines : prints the decisions.
+    lessons : teaches classes meanwhile, with --teach.
     """
 
     engine: Engine
     processor: Processor[Any]
     pixels: ModelPixels
     lines: DecisionLines
+    lessons: LiveLessons | None = None
 
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt run`. Returns the exit code."""
     check_keep_up(args)
     check_reading(args)
+    _check_teach(args)
     run = _prepare(args)
 
     stopped = False
@@ -151,6 +169,18 @@ def main(args: argparse.Namespace) -> int:
     return 2 if failed else 0
 
 
+def _check_teach(args: argparse.Namespace) -> None:
+    """Refuse --teach without one live source, and a file that cannot be written."""
+    if args.teach is None:
+        return
+    check_writable(args.teach, (".safetensors",))
+    paths = paths_of(args)
+    if len(paths) != 1 or isinstance(paths[0], Path):
+        raise ValueError(
+            "--teach needs one camera or network stream; async-tnt teach learns from recordings"
+        )
+
+
 def _prepare(args: argparse.Namespace) -> _Run:
     """Load the model and make the Processor.
 
@@ -179,7 +209,23 @@ def _prepare(args: argparse.Namespace) -> _Run:
     # changes nothing.
     processor.fire()
     lines = DecisionLines(args.json, args.latency, of_outputs=processor.answers_are_views)
-    return _Run(engine, processor, pixels, lines)
+    lessons = None if args.teach is None else _lessons(args, engine)
+    return _Run(engine, processor, pixels, lines, lessons)
+
+
+def _lessons(args: argparse.Namespace, engine: Engine) -> LiveLessons:
+    """What teaches classes meanwhile, with --teach.
+
+    Raises
+    ------
+    ValueError : no class can be taught to the model, or stdin is no terminal.
+    """
+    from async_tnt.cli.live_lessons import LiveLessons, typed_names  # imports threads' pools
+
+    if not isinstance(engine.model, Model) or engine.classifier is not None:
+        raise ValueError(f"--teach needs a .safetensors model, got {args.model}")
+    check_teachable(engine.model, str(args.model))
+    return LiveLessons(engine.model, args.teach, typed_names())
 
 
 # -- recordings ------------------------------------------------------------------------------------
@@ -275,6 +321,8 @@ def _run_live(run: _Run, name: str, keep_up_ms: int | None) -> bool:
     run.processor.reset()
 
     def print_all(packets: Iterable[Any], queue: BackgroundReader | None) -> None:
+        if run.lessons is not None:
+            packets = run.lessons.watch(packets, run.processor)
         for decision, latency_us in _push_packets(packets, run.processor):
             run.lines.print(name, decision, latency_us, queue)
 

@@ -185,6 +185,7 @@ def _train(args: argparse.Namespace, outputs: _Outputs) -> None:
         settings,
         outputs.run_folder,
         motions=_other_motions(args, data, settings, outputs.run_folder),
+        statistics=args.statistics,
         progress=progress,
         report=_reporter(n_epochs),
     ).with_record(command=_command(args))

@@ -29,6 +29,7 @@ pictures, which simulated cameras record in many motions, or of both:
   async-tnt train pictures --sensor 640x480             # pictures/cup/*.jpg ...
   async-tnt evaluate gestures.safetensors other         # on other recordings
   async-tnt run --model gestures.safetensors camera     # use it
+  async-tnt teach gestures.safetensors --class point point/*.npz --out more.safetensors
 
 Beside the model it writes gestures.json and, with the extra `plot`, a picture of
 its curves. Stop with Ctrl-C and give the same command again: it resumes from
@@ -70,6 +71,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the trained model (default: %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
+    parser.add_argument(
+        "--no-statistics",
+        dest="statistics",
+        action="store_false",
+        help="leave out what `teach` needs, up to 3 MB",
+    )
     _add_held_out(parser.add_argument_group("what is held out"))
     _add_training_data(parser.add_argument_group("what is learned from"))
     _add_pictures(parser.add_argument_group("how pictures are recorded"))
@@ -179,7 +186,7 @@ def _add_network(group: argparse._ActionsContainer) -> None:
         type=positive_int,
         metavar="N",
         help="number of epochs (default: 20, or as many as make 4000 steps; fewer if all "
-        "held-out windows stay right and their loss falls no more)",
+        "that is held out stays right)",
     )
     group.add_argument(
         "--seed",

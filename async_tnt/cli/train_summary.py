@@ -47,6 +47,9 @@ def print_summary(fitted: Fitted, out: Path, paths: list[Path], *, as_json: bool
     )
     if fitted.scores is not None:
         _print_classes(fitted.scores)
+    if fitted.model.statistics is not None:
+        megabytes = fitted.model.statistics.n_bytes / 1e6
+        say(f"statistics for `async-tnt teach` are {megabytes:.1f} MB of it (--no-statistics)")
     if "held_out_in_time" in record["data"]:
         say(
             "held out in time: of the sessions that were learned from; only another session tells "

@@ -21,6 +21,7 @@ from async_tnt.networks.models.model_file import (
     read_tensors,
 )
 from async_tnt.networks.onnx.from_onnx import load_onnx
+from async_tnt.networks.teaching.statistics import PREFIX, read_statistics
 from async_tnt.volume.config import TNTConfig
 
 SUFFIX = ".safetensors"
@@ -104,7 +105,7 @@ def load_model(
 def _read_model(path: Path) -> Model:
     """The model in a .safetensors file."""
     try:
-        weights, metadata = read_tensors(path, FORMATS)
+        tensors, metadata = read_tensors(path, FORMATS)
     except ValueError as error:
         raise ValueError(
             f"{path} is not a model that this release can read: {one_line(error)}"
@@ -112,7 +113,7 @@ def _read_model(path: Path) -> Model:
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
     try:
-        return _checked_model(weights, metadata)
+        return _checked_model(tensors, metadata)
     except NotImplementedError as error:
         raise ValueError(
             f"{path} holds a network that this release cannot run: {one_line(error)}"
@@ -121,7 +122,7 @@ def _read_model(path: Path) -> Model:
         raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
 
 
-def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> Model:
+def _checked_model(tensors: dict[str, np.ndarray], metadata: dict[str, str]) -> Model:
     """The model of a file's tensors and metadata.
 
     Raises
@@ -130,9 +131,13 @@ def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> 
     NotImplementedError : this release cannot run a layer.
     """
     file_checksum = metadata.get("sha256")
-    if file_checksum is not None and file_checksum != checksum_of(weights, metadata):
+    if file_checksum is not None and file_checksum != checksum_of(tensors, metadata):
         raise ValueError("its checksum differs; copy or download it again")
     description = read_description(metadata, "network", "sha256")
+    statistics = None
+    if "statistics" in metadata:
+        statistics = read_statistics(tensors, parse_metadata(metadata, "statistics"))
+    weights = {name: w for name, w in tensors.items() if not name.startswith(PREFIX)}
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")
@@ -145,4 +150,5 @@ def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> 
         network=network,
         outputs=description.outputs,
         by_share=description.by_share,
+        statistics=statistics,
     )

@@ -23,6 +23,7 @@ from async_tnt.base.running import Method, Running, one_at_a_time
 from async_tnt.kernels.decisions.trigger import NOT_DUE, ONLY_IF_SURE, until_due, why_due
 from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US
+from async_tnt.networks.models.compiled import CompiledClassifier
 from async_tnt.networks.models.compiled_network import CompiledNetwork
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.spiking_network import SpikingNetwork
@@ -637,6 +638,39 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
     @one_at_a_time
     def classifier(self, classifier: Classifier) -> None:
         self._classifier.exchange(classifier, self._triggers.settings.confidence)
+        self._choose_ways()
+
+    @one_at_a_time
+    def exchange(self, model: Model) -> None:
+        """Decide with another model from now on, such as one to which a class was taught.
+
+        Open windows and settings stay as they are.
+
+        Parameters
+        ----------
+        model : a model of windows with the same configuration. Its classes may be others.
+
+        Raises
+        ------
+        ValueError : the model has another configuration, or it or the Processor decides about
+            something else than windows, or its landmark needs a network.
+        """
+        classifier = self._classifier
+        of_windows = bool(model.classes) and not model.is_spiking and model.places is None
+        is_one = isinstance(classifier, WindowClassifier) and not classifier.finds_objects
+        if not of_windows or not is_one or self.config.needs_regressor:
+            rule = (
+                "must decide about windows, as this Processor does, and without a landmark "
+                "network: make a new Processor"
+            )
+            raise ParameterValueError("model", rule)
+        if model.config != self.config:
+            rule = f"must be of the configuration {self.config}"
+            raise ParameterValueError("model", rule, f"one of {model.config}")
+        assert isinstance(classifier, WindowClassifier)
+        confidence = self._triggers.settings.confidence
+        classifier.exchange(CompiledClassifier(model), confidence, model.classes)
+        self._triggers.forget()  # classes have other numbers now
         self._choose_ways()
 
     @property

@@ -66,11 +66,16 @@ class WindowClassifier:
         self._tracks = np.empty((0, 4))
         self.exchange(classifier, confidence)
 
-    def exchange(self, classifier: Classifier, confidence: float | None = None) -> None:
+    def exchange(
+        self,
+        classifier: Classifier,
+        confidence: float | None = None,
+        classes: Sequence[str] | None = None,
+    ) -> None:
         """Use another callable from now on.
 
         The callable must take volumes of the configuration's shape. If `confidence` is set, the
-        callable must not find objects.
+        callable must not find objects. It decides about other `classes` if they are given.
         """
         if isinstance(classifier, CompiledNetwork):
             rule = "must return logits; a CompiledNetwork has raw outputs"
@@ -80,8 +85,9 @@ class WindowClassifier:
         reader: ObjectReader | None = None
         # a subclass may behave differently, so it is called as any other callable
         compiled = classifier if type(classifier) is CompiledClassifier else None
+        names = self.classes if classes is None else tuple(classes)
         if compiled is not None:
-            self._check_compiled(compiled)
+            self._check_compiled(compiled, names)
             reader = compiled.reader
         else:
             shape: Any = getattr(classifier, "logits_shape", ())
@@ -95,6 +101,7 @@ class WindowClassifier:
 
         # plain assignments in a row: no exception, such as Ctrl-C, can come between them
         self.classifier = classifier
+        self.classes = names
         self._compiled = compiled
         self._reader = reader
         self._tracks = tracks
@@ -117,14 +124,16 @@ class WindowClassifier:
         assert self._compiled is not None
         self._compiled.prepare_stretches()
 
-    def _check_compiled(self, compiled: CompiledClassifier) -> None:
+    def _check_compiled(
+        self, compiled: CompiledClassifier, classes: tuple[str, ...] | None
+    ) -> None:
         """Refuse a compiled classifier of another shape, other classes or another sensor."""
         config = self._config
         if compiled.shape != config.shape:
             rule = f"must take volumes of shape {config.shape}"
             raise ParameterValueError("classifier", rule, f"one for {compiled.shape}")
-        if self.classes is not None:
-            self._classes_for(compiled.n_classes)
+        if classes is not None:
+            _check_number(classes, compiled.n_classes)
         if compiled.places is not None and compiled.sensor != config.sensor:
             rule = f"must be for the sensor {config.sensor}, in whose pixels objects stand"
             raise ParameterValueError("classifier", rule, f"one for {compiled.sensor}")
@@ -135,6 +144,11 @@ class WindowClassifier:
         For some classifiers, only the first answer shows that they find objects.
         """
         _check_confidence(self._reader, confidence)
+
+    @property
+    def finds_objects(self) -> bool:
+        """Whether the classifier is known to find objects."""
+        return self._reader is not None
 
     def forget(self) -> None:
         """Forget the objects of earlier decisions, and number them from 0 on."""
@@ -328,17 +342,23 @@ class WindowClassifier:
             raise ParameterValueError("classifier", "must return logits", "none")
         if self.classes is None:
             self.classes = tuple(str(k) for k in range(n))
-        n_expected = len(self.classes)
-        if n == n_expected:
-            return self.classes
-        if is_map:
-            rule = (
-                f"must return {n_expected + 1} channels, one more than classes, or "
-                f"{n_expected + 3} or {n_expected + 5}"
-            )
-            raise ParameterValueError("classifier", rule, n + 1)
-        rule = f"must return {n_expected} logits, one for each class"
-        raise ParameterValueError("classifier", rule, n)
+        _check_number(self.classes, n, is_map=is_map)
+        return self.classes
+
+
+def _check_number(classes: Sequence[str], n: int, *, is_map: bool = False) -> None:
+    """Refuse `n` logits that are not one for each class."""
+    n_expected = len(classes)
+    if n == n_expected:
+        return
+    if is_map:
+        rule = (
+            f"must return {n_expected + 1} channels, one more than classes, or "
+            f"{n_expected + 3} or {n_expected + 5}"
+        )
+        raise ParameterValueError("classifier", rule, n + 1)
+    rule = f"must return {n_expected} logits, one for each class"
+    raise ParameterValueError("classifier", rule, n)
 
 
 def _check_confidence(reader: ObjectReader | None, confidence: float | None) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.scores import scores_of
 from async_tnt.networks.models.model import Model
+from async_tnt.training.class_statistics import can_have_statistics, with_class_statistics
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.loop import TrainResult, train
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
@@ -74,6 +75,7 @@ def fit(
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
+    statistics: bool = True,
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
@@ -84,6 +86,9 @@ def fit(
     Parameters
     ----------
     data, settings, run_folder, start, motions, teachers, progress, report : see `loop.train`.
+    statistics : whether a classifier gets statistics of its classes, at most 3 MB, so that more
+        can be taught, see `Model.with_class`. It gets none if its network has no layer of at most
+        4,096 numbers.
 
     Raises
     ------
@@ -116,6 +121,8 @@ def fit(
         scores = scores_of(data.classes, evaluation.recording_confusion, evaluation.confusion)
     if motions is not None and len(motions.validation) >= MIN_MOVED:
         record["validation_motions"] = _scores_in_motions(model, motions)
+    if statistics and not is_map_model and can_have_statistics(model):
+        model = with_class_statistics(model, data.training, progress)
     return Fitted(replace(model, record=record), scores, result.history)
 
 

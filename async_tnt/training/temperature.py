@@ -104,4 +104,5 @@ def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
     scaled = {
         name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()
     }
-    return replace(model, weights={**model.weights, **scaled}), temperature
+    # statistics would be of other logits
+    return replace(model, weights={**model.weights, **scaled}, statistics=None), temperature

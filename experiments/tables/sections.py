@@ -17,6 +17,7 @@ from experiments.tables import (
     sliding_curves,
     spiking,
     streams,
+    teaching,
     thesis,
 )
 from experiments.tables.texts import (
@@ -47,6 +48,7 @@ from experiments.tables.texts import (
     SPIKING,
     STARTS,
     SUSTAINED,
+    TEACHING,
     THESIS,
     THREADS,
     UDP,
@@ -363,6 +365,26 @@ SECTIONS = (
         picture="few_recordings",
         tables={
             datasets.few_recordings: "Windows and recordings right",
+        },
+    ),
+    Section(
+        title="A class from a few recordings",
+        text=TEACHING,
+        command="experiments.teaching --json experiments/results/teaching.json",
+        tables={
+            teaching.teaching: (
+                "New class / old classes / mean of ten; means over digits and five draws"
+            ),
+            teaching.teaching_poker: (
+                "The same with each suit of POKER-DVS left out: 12 recordings of each to train "
+                "on, 5 to test"
+            ),
+            teaching.teaching_by_digit: "Windows by the digit that was left out",
+            teaching.teaching_costs: "What a taught class takes of others, and how sure it is",
+            teaching.teaching_settings: (
+                "Other settings, on recordings of Train that were held out; 4 and 6 left out, "
+                "windows of the new class / of old classes"
+            ),
         },
     ),
     Section(

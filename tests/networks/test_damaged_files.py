@@ -124,7 +124,9 @@ def test_anything_under_a_valid_checksum(files, data):
 
 DAMAGED = "holds a damaged model: "
 FORMATS = "`format` must be 'async_tnt 2' or 'async_tnt 3'"
-FOREIGN = f"is not a model that this release can read: {FORMATS} or 'async_tnt 4', got "
+FOREIGN = (
+    f"is not a model that this release can read: {FORMATS} or 'async_tnt 4' or 'async_tnt 5', got "
+)
 
 
 def model_file(path, **changes):
@@ -164,7 +166,7 @@ def onnx_file(path, **changes):
             {"sha256": 64 * "0"},
             DAMAGED + "its checksum differs; copy or download it again",
         ),
-        (model_file, {"format": "async_tnt 5"}, FOREIGN + "'async_tnt 5'"),
+        (model_file, {"format": "async_tnt 6"}, FOREIGN + "'async_tnt 6'"),
         (
             onnx_file,
             {"format": "async_tnt 4"},

@@ -60,7 +60,8 @@ RECORD = {
 
 
 def summary(capsys, record=RECORD, scores=None, **more):
-    fitted = SimpleNamespace(model=SimpleNamespace(record=record), scores=scores)
+    model = SimpleNamespace(record=record, statistics=None)
+    fitted = SimpleNamespace(model=model, scores=scores)
     settings = {"as_json": False} | more
     print_summary(
         fitted, Path("m.safetensors"), [Path("m.safetensors"), Path("m.json")], **settings

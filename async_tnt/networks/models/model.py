@@ -41,6 +41,14 @@ from async_tnt.networks.spiking.operations import (
     check_spiking_values,
 )
 from async_tnt.networks.spiking.outputs import check_spiking_outputs
+from async_tnt.networks.teaching.statistics import (
+    Statistics,
+    check_statistics,
+    description_of_statistics,
+    tensors_of_statistics,
+)
+from async_tnt.networks.teaching.taught_network import taught_network, trained_network
+from async_tnt.networks.teaching.teach import TrainedNetwork, statistics_of, teach
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.sensor import Sensor
 
@@ -60,7 +68,10 @@ FORMAT_OF_OUTPUTS = "async_tnt 3"
 FORMAT_OF_SPIKES = "async_tnt 4"
 """The `format` in the file of a spiking model, which older releases cannot read."""
 
-FORMATS = (FORMAT, FORMAT_OF_OUTPUTS, FORMAT_OF_SPIKES)
+FORMAT_OF_STATISTICS = "async_tnt 5"
+"""The `format` in the file of a model with statistics, which older releases cannot read."""
+
+FORMATS = (FORMAT, FORMAT_OF_OUTPUTS, FORMAT_OF_SPIKES, FORMAT_OF_STATISTICS)
 """The formats that this release reads."""
 
 CENTROID = "heatmap_centroid"
@@ -101,6 +112,8 @@ class Model:
         without classes.
     by_share : only for a map model: whether it knows objects by the share of the sensor that they
         fill, and not by their pixels, see `for_sensor`.
+    statistics : moments of the network's features in each class, see `with_class`; None: the model
+        has none. They do not change what the model decides.
 
     Raises
     ------
@@ -117,6 +130,7 @@ class Model:
     network: Network = field(kw_only=True)
     outputs: Mapping[str, str] = field(default_factory=dict, kw_only=True)
     by_share: bool = field(default=False, kw_only=True)
+    statistics: Statistics | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         is_ordered = isinstance(self.classes, Iterable) and not isinstance(
@@ -142,6 +156,8 @@ class Model:
             raise ParameterTypeError("by_share", "must be a bool", short(self.by_share))
         if self.by_share and self.places is None:
             raise ParameterValueError("by_share", "is for a model that finds objects")
+        if self.statistics is not None:
+            check_statistics(self.statistics, shapes, self.classes)
 
     @property
     def is_spiking(self) -> bool:
@@ -349,6 +365,154 @@ class Model:
             network=network,
             outputs={FEATURES: network[CLASSIFIER][-1]["name"]},
             by_share=False,
+            statistics=None,
+        )
+
+    # -- teaching ----------------------------------------------------------------------------------
+
+    def with_statistics(
+        self, recordings: Mapping[str, Sequence[Any]], nothing: Sequence[Any] = ()
+    ) -> Model:
+        """The model with statistics of its classes, so that classes can be taught.
+
+        `async-tnt train` stores them. This is for models without them.
+
+        Parameters
+        ----------
+        recordings : each of the model's classes -> recordings of it: events in any accepted form,
+            or what `open_recording` returns. A few tens of each are enough; of many, some that are
+            spread evenly are read.
+        nothing : recordings that show none of the classes.
+
+        Raises
+        ------
+        ValueError, TypeError : a class is missing or has no events; events are invalid; classes
+            were taught or forgotten already.
+        NotImplementedError : the model finds objects, has raw outputs, or is a spiking one.
+        """
+        self._check_teachable()
+        statistics = self.statistics
+        if statistics is not None and statistics.classes != statistics.trained:
+            raise ValueError(
+                "statistics are of the classes a network was trained on: forget those that were "
+                "taught first"
+            )
+        trained = TrainedNetwork(self.config, self.network, self.weights)
+        return replace(self, statistics=statistics_of(trained, self.classes, recordings, nothing))
+
+    def with_class(self, name: str, recordings: Iterable[Any]) -> Model:
+        """The model with one more class, taught from a few recordings in closed form.
+
+        The network stays as it is, and gets one logit more, from the numbers of an inner layer. So
+        the logits of all other trained classes keep their bits. No recording of them is needed.
+        `record["taught"][name]` says what the class was taught from and, by the statistics, which
+        share of each other class's windows it takes.
+
+        Parameters
+        ----------
+        name : name of the class.
+        recordings : recordings of the class: events in any accepted form, or what `open_recording`
+            returns. Ten are good; with fewer than five, how sure the class is cannot be measured.
+
+        Raises
+        ------
+        ValueError, TypeError : the model has no statistics or has the class already; the recordings
+            have no events, or invalid ones.
+        NotImplementedError : the model finds objects, has raw outputs, or is a spiking one.
+
+        References
+        ----------
+        The equations are in `networks.teaching.closed_form`.
+
+        Examples
+        --------
+        >>> from async_tnt import load_model
+        >>> from async_tnt.sources import open_recording, sample_recordings
+        >>> model = load_model("digits")
+        >>> samples = {
+        ...     str(digit): [open_recording(path)] for digit, path in sample_recordings().items()
+        ... }
+        >>> nine = model.with_statistics(samples).without_class("8")
+        >>> taught = nine.with_class("eight", samples["8"])
+        >>> taught.classes[-1], len(taught.classes)
+        ('eight', 10)
+        """
+        self._check_teachable()
+        statistics = self._needed_statistics()
+        if not isinstance(name, str) or not name or not name.isprintable():
+            raise ParameterValueError("name", "must be a text that can be printed", short(name))
+        if name in self.classes:
+            rule = "must be a new class: forget the class of this name first"
+            raise ParameterValueError("name", rule, short(name))
+        lesson = teach(self._trained_network(), statistics, name, recordings)
+        taught = {**self.record.get("taught", {}), name: lesson.record}
+        return self._with_classes(lesson.statistics, {**self.record, "taught": taught})
+
+    def without_class(self, name: str) -> Model:
+        """The model without a class: a taught one, or one that the network was trained on.
+
+        Forgetting what was taught gives the model from before, bit for bit. The logit of a class
+        that the network was trained on is still computed, but left out.
+
+        Raises
+        ------
+        ValueError : the model has no statistics, or has no other class, or none of this name.
+        NotImplementedError : the model finds objects, has raw outputs, or is a spiking one.
+        """
+        self._check_teachable()
+        statistics = self._needed_statistics()
+        if name not in self.classes:
+            rule = f"must be one of the classes {', '.join(self.classes)}"
+            raise ParameterValueError("name", rule, short(name))
+        if len(self.classes) == 1:
+            raise ParameterValueError("name", "must not be the model's only class", short(name))
+        record = dict(self.record)
+        taught = {key: entry for key, entry in record.pop("taught", {}).items() if key != name}
+        if taught:
+            record["taught"] = taught
+        if name not in statistics.margins:
+            record["forgotten"] = [*record.get("forgotten", []), name]
+        return self._with_classes(statistics.without_class(name), record)
+
+    def _check_teachable(self) -> None:
+        """Refuse a model that no class can be taught to."""
+        if self.is_spiking:
+            kind = "is of neurons"
+        elif self.outputs:
+            kind = "has raw outputs, and no classes"
+        elif self.places is not None:
+            kind = "finds objects, and a taught class has no place: train it again"
+        else:
+            return
+        raise NotImplementedError(f"classes are taught to models of windows; this one {kind}")
+
+    def _needed_statistics(self) -> Statistics:
+        if self.statistics is None:
+            raise ValueError(
+                "the model has no statistics of its classes: train it again, or give recordings of "
+                "its classes to `with_statistics`"
+            )
+        return self.statistics
+
+    def _trained_network(self) -> TrainedNetwork:
+        """The network without the layers that teaching has added."""
+        assert self.statistics is not None
+        network, weights = trained_network(self.network, self.weights, self.statistics.logits)
+        return TrainedNetwork(self.config, network, weights)
+
+    def _with_classes(self, statistics: Statistics, record: Mapping[str, Any]) -> Model:
+        """The model with the classes of these statistics."""
+        trained = self._trained_network()
+        network, weights = taught_network(
+            trained.network, trained.weights, trained.shapes, statistics
+        )
+        return replace(
+            self,
+            weights=weights,
+            classes=statistics.classes,
+            record=record,
+            network=network,
+            statistics=statistics,
         )
 
     @property
@@ -397,7 +561,10 @@ class Model:
         ):
             scale = own_grid / own_side
             grid.append(max(2, round(scale * side)))
-        return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=tuple(grid)))
+        config = self.config.replace(sensor=tuple(sensor), grid=tuple(grid))
+        # statistics are of the maps of one size
+        statistics = self.statistics if config == self.config else None
+        return replace(self, config=config, statistics=statistics)
 
     def _at_same_share(self, sensor: Sensor) -> Model:
         """`for_sensor` of a model that is `by_share`."""
@@ -514,8 +681,13 @@ class Model:
         """
         path = user_path(path)
         metadata = self.description() | {"network": json.dumps(self.network)}
-        metadata["sha256"] = checksum_of(self.weights, metadata)
-        content = tensor_bytes(self.weights, metadata)
+        tensors = dict(self.weights)
+        if self.statistics is not None:
+            tensors |= tensors_of_statistics(self.statistics)
+            metadata["format"] = FORMAT_OF_STATISTICS
+            metadata["statistics"] = json.dumps(description_of_statistics(self.statistics))
+        metadata["sha256"] = checksum_of(tensors, metadata)
+        content = tensor_bytes(tensors, metadata)
         with replacing(path) as part:
             part.write_bytes(content)
         return path

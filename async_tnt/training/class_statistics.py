@@ -1,0 +1,97 @@
+"""Statistics of a trained model's classes, from the windows that it learned from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from async_tnt.base.progress import Bar
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.teaching.taught_network import features_layer
+from async_tnt.networks.teaching.teach import (
+    StatisticsMaker,
+    TrainedNetwork,
+    joined,
+    spread_order,
+)
+from async_tnt.networks.teaching.window_readings import MOMENTS, Readings, WindowReader
+from async_tnt.training.augment import KINDS, showing_nothing, unchanged
+from async_tnt.training.batches import BatchVolumes
+from async_tnt.training.windows import Windows
+
+N_OF_NOTHING = 500
+"""The most windows that are shown without a class."""
+
+
+def can_have_statistics(model: Model) -> bool:
+    """Whether a layer of a classifier has few enough numbers for features."""
+    trained = TrainedNetwork(model.config, model.network, model.weights)
+    return features_layer(model.layers, trained.shapes) is not None
+
+
+def with_class_statistics(
+    model: Model, windows: Windows, progress: Callable[..., Bar] = Bar
+) -> Model:
+    """The model with statistics, so that classes can be taught to it.
+
+    The statistics are of the windows as they were recorded, and of such windows that show nothing
+    instead, see `augment`. Of many windows of a class, some that are spread over all are read.
+
+    Parameters
+    ----------
+    model : a trained classifier of windows.
+    windows : the windows that it learned from.
+    progress : makes the progress bar, which counts classes.
+
+    Raises
+    ------
+    ValueError : no layer of the network has few enough numbers.
+    """
+    trained = TrainedNetwork(model.config, model.network, model.weights)
+    maker = StatisticsMaker(trained, model.classes)
+    readings = {}
+    with progress(len(model.classes), "statistics") as bar:
+        for label, name in enumerate(model.classes):
+            of_class = windows[np.flatnonzero(windows.labels == label)]
+            readings[name] = _read(maker.reader, of_class, model.config.window_us, maker.most)
+            bar.update()
+    nothing = None
+    if not model.config.needs_regressor:  # its landmark would need the landmark network
+        nothing = _read_nothing(maker.reader, windows, model, maker.most)
+    return replace(model, statistics=maker.make(readings, nothing))
+
+
+def _read(reader: WindowReader, windows: Windows, window_us: int, most: int) -> Readings:
+    """Readings of windows of one class, until there are `most` of them."""
+    parts = []
+    n = 0
+    for i in spread_order(len(windows)).tolist():
+        parts.append(reader.of_events(windows.events(i, window_us), start_us=0))
+        n += len(parts[-1].is_end)
+        if n >= most:
+            break
+    return joined(parts, most)
+
+
+def _read_nothing(reader: WindowReader, windows: Windows, model: Model, most: int) -> Readings:
+    """Readings of windows that show each kind of nothing equally often."""
+    volumes = BatchVolumes(model.config)
+    kinds = list(KINDS.values())
+    chosen = spread_order(len(windows))[: min(N_OF_NOTHING, max(1, most // len(MOMENTS)))]
+    rows = []
+    ends = []
+    for i, index in enumerate(chosen.tolist()):
+        window = windows[index : index + 1]
+        content = np.array([kinds[i % len(kinds)]], np.int64)
+        draws = showing_nothing(
+            unchanged(1, model.config), content, np.random.default_rng((index, i))
+        )
+        for share in MOMENTS:
+            until_us = np.array([int(share * model.config.window_us)])
+            (volume,) = volumes(window, replace(draws, until_us=until_us))
+            rows.append(reader.of_volume(volume))
+            ends.append(share == MOMENTS[-1])
+    features, logits = (np.stack(part) for part in zip(*rows, strict=True))
+    return Readings(features, logits, np.array(ends))

@@ -1,0 +1,1 @@
+"""A digit that is taught to a network of nine others."""

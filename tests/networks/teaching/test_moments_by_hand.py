@@ -1,0 +1,212 @@
+"""Moments, margins and rows, with numbers worked out by hand."""
+
+import numpy as np
+import pytest
+
+from async_tnt import TNTConfig
+from async_tnt.networks.teaching.closed_form import (
+    LEAST_RECORDINGS,
+    MARGIN,
+    RIDGE,
+    TAUGHT_SHARE,
+    Row,
+    choose_margin,
+    row_of,
+    taken,
+)
+from async_tnt.networks.teaching.moments import Moments, merged, triangle_size
+from async_tnt.networks.teaching.statistics import (
+    MAX_BYTES,
+    MOST_COMPONENTS,
+    Statistics,
+    log_sum_exp,
+    n_components_for,
+    principal_components,
+    tensors_of_statistics,
+)
+from async_tnt.networks.teaching.teach import spread_order
+from async_tnt.networks.teaching.window_readings import edges
+
+
+def test_moments_of_three_vectors():
+    """Mean (2, 5); deviations (-1, -3), (0, 0), (1, 3): sums of products 2, 6, 18."""
+    moments = Moments.of(np.array([[1, 2], [2, 5], [3, 8]]))
+    assert moments.count == 3
+    assert moments.mean.tolist() == [2, 5]
+    assert moments.scatter.tolist() == [2, 6, 18]
+    np.testing.assert_allclose(moments.covariance, [[2 / 3, 2], [2, 6]])
+    # the means of 1, 4, 9; of 2, 10, 24; of 4, 25, 64
+    expected = [[14 / 3, 12, 2], [12, 31, 5], [2, 5, 1]]
+    np.testing.assert_allclose(moments.second, expected, rtol=1e-12)
+
+
+def test_merged_moments_by_hand():
+    """0 and 2 have the mean 1 and the scatter 2; 5 alone: together mean 7/3, scatter 38/3."""
+    both = Moments.of(np.array([[0.0], [2.0]])).merged(Moments.of(np.array([[5.0]])))
+    assert both.count == 3
+    np.testing.assert_allclose(both.mean, [7 / 3], rtol=1e-15)
+    np.testing.assert_allclose(both.scatter, [38 / 3], rtol=2**-24)
+
+
+def test_a_small_variance_beside_a_large_mean_is_kept():
+    """A sum of squares of 1e8 + {0, 1} would lose the variance 1/4 in 53 bits after few numbers."""
+    vectors = 1e8 + np.arange(1000)[:, None] % 2
+    halves = [Moments.of(vectors[:300]), Moments.of(vectors[300:])]
+    assert merged(halves).covariance[0, 0] == pytest.approx(0.25, rel=1e-6)
+
+
+def one_class(*values, s=0.0):
+    return Moments.of(np.array([[x, s] for x in values]))
+
+
+def test_a_row_by_hand():
+    """Windows of the class have x = 1, others x = -1, and s = 2 everywhere: r . (x, 1) = 2 + M y.
+
+    The mean of x is w - (1 - w) = 2 w - 1, that of x^2 is 1. With the ridge a = .03 the equations
+    (1 + a) r + (2 w - 1) b = E[x t] and (2 w - 1) r + b = E[t], for a target t, give the slope
+    r = (E[x t] - (2 w - 1) E[t]) / (1 + a - (2 w - 1)^2). For t = y = x: E[x t] = 1.
+    """
+    row = row_of(one_class(1.0, s=2.0), [one_class(-1.0, s=2.0)])
+    mean = 2 * TAUGHT_SHARE - 1
+    slope = (1 - mean**2) / (1 + RIDGE - mean**2)
+    np.testing.assert_allclose(row.rise, [slope, mean * (1 - slope)], rtol=1e-12)
+    np.testing.assert_allclose(row.level, [0, 2], atol=1e-12)
+    np.testing.assert_allclose(row.at(8.0), [8 * slope, 2 + 8 * mean * (1 - slope)], rtol=1e-12)
+
+
+def test_every_other_class_counts_alike_whatever_number_of_windows_it_has():
+    taught = one_class(3.0, 3.5, s=1.0)
+    few = one_class(-1.0, 1.0, s=2.0)
+    many = one_class(*[-1.0, 1.0] * 500, s=2.0)
+    other = one_class(0.5, 0.7, 0.9, s=4.0)
+    a = row_of(taught, [few, other])
+    b = row_of(taught, [many, other])
+    np.testing.assert_allclose(a.rise, b.rise, rtol=1e-6)
+    np.testing.assert_allclose(a.level, b.level, rtol=1e-6)
+
+
+def test_features_that_say_nothing_give_the_share_of_the_class():
+    """Without any spread the row is its constant: s + M (w - (1 - w))."""
+    row = row_of(one_class(0.0, s=5.0), [one_class(0.0, s=5.0)])
+    assert row.at(10.0).tolist() == pytest.approx([0.0, 5 + 10 * (2 * TAUGHT_SHARE - 1)])
+
+
+@pytest.mark.parametrize(("constant", "expected"), [(3.0, 0.841345), (1.0, 0.158655), (2.0, 0.5)])
+def test_the_share_that_is_taken_by_a_normal_distribution(constant, expected):
+    """s is 1 or 3, of deviation 1; a logit of 3 lies one deviation above its mean."""
+    windows = Moments.of(np.array([[0.0, 1.0], [0.0, 3.0]]))
+    row = Row(np.array([0.0, constant]), np.zeros(2))
+    assert taken(row, MARGIN, windows) == pytest.approx(expected, abs=1e-6)
+
+
+def test_windows_that_are_all_alike_are_taken_or_not():
+    for constant, expected in ((3.0, 1.0), (1.0, 0.0)):
+        row = Row(np.array([0.0, constant]), np.zeros(2))
+        assert taken(row, MARGIN, one_class(0.0, s=2.0)) == expected
+
+
+def test_a_margin_is_chosen_from_five_recordings_on():
+    rng = np.random.default_rng(0)
+
+    def recording(mean):
+        return np.stack([rng.normal(mean, 1.0, 9), rng.normal(6.0, 0.5, 9)], axis=1)
+
+    others = {"a": Moments.of(recording(-3.0)), None: Moments.of(recording(0.0))}
+    for n in range(1, 12):
+        choice = choose_margin([recording(3.0) for _ in range(n)], others)
+        assert (choice.held_out is None) == (n < LEAST_RECORDINGS)
+        if choice.held_out is None:
+            assert choice.margin == MARGIN
+        else:
+            assert 0.5 < choice.held_out <= 1.0
+
+
+def test_a_class_that_is_not_told_apart_gets_a_smaller_margin():
+    """Where windows that are left out lie on the wrong side, a large margin is punished."""
+    rng = np.random.default_rng(1)
+
+    def margin(distance):
+        recordings = [
+            np.stack([rng.normal(distance, 1.0, 9), np.full(9, 6.0)], axis=1) for _ in range(20)
+        ]
+        other = Moments.of(np.stack([rng.normal(0, 1, 900), np.full(900, 6.0)], axis=1))
+        return choose_margin(recordings, {"a": other}).margin
+
+    assert margin(1.0) < margin(3.0) < margin(6.0)
+
+
+def test_log_sum_exp_of_large_logits():
+    assert log_sum_exp(np.array([[1000.0, 1000.0], [0.0, -1000.0]])).tolist() == pytest.approx(
+        [1000 + np.log(2), 0.0]
+    )
+
+
+def test_principal_components_by_hand():
+    """Classes at (0, 0) and (6, 0) whose windows lie 1 above and below: first x, then y."""
+    features = [Moments.of(np.array([[x, -1.0], [x, 1.0]] * n)) for x, n in ((0.0, 1), (6.0, 50))]
+    center, projection = principal_components(features, 2)
+    assert center.tolist() == [3, 0]
+    np.testing.assert_allclose(projection, np.eye(2), atol=1e-7)
+
+
+@pytest.mark.parametrize("n_features", [5, 64, 96, 768, 2048, 4096])
+@pytest.mark.parametrize("n_classes", [2, 10, 101])
+def test_statistics_have_as_many_components_as_fit(n_features, n_classes):
+    n = n_components_for(n_features, n_classes, 30_000)
+    assert n <= min(n_features, MOST_COMPONENTS)
+
+    def n_bytes(n):
+        moments = Moments(1, np.zeros(n + 1), np.zeros(triangle_size(n + 1), np.float32))
+        names = [str(k) for k in range(n_classes)]
+        projection = np.zeros((n_features, n), np.float32)
+        statistics = Statistics(
+            "a", "b", tuple(names), projection[:, 0], projection, dict.fromkeys(names, moments),
+            moments,
+        )  # fmt: skip
+        tensors = tensors_of_statistics(statistics)
+        assert statistics.n_bytes == sum(tensor.nbytes for tensor in tensors.values())
+        return statistics.n_bytes
+
+    assert n_bytes(n) <= MAX_BYTES
+    if n < min(n_features, MOST_COMPONENTS):
+        assert n_bytes(n + 16) > MAX_BYTES
+
+
+@pytest.mark.parametrize(
+    ("n_readings", "expected"), [(0, 16), (100, 16), (130, 32), (1023, 240), (1024, 256)]
+)
+def test_few_readings_have_few_components(n_readings, expected):
+    assert n_components_for(768, 10, n_readings) == expected
+    assert n_components_for(11, 10, n_readings) == 11
+
+
+def test_the_first_recordings_that_are_read_are_spread_over_all():
+    for n in (1, 2, 10, 1000):
+        assert sorted(spread_order(n).tolist()) == list(range(n))
+    first = np.sort(spread_order(1000)[:50])
+    assert np.diff(first).max() < 40
+
+
+def test_where_windows_are_read():
+    """Quarters and halves are read if events came; an event that is late counts where it comes."""
+    config = TNTConfig(window_us=100)
+    assert list(edges(np.array([], np.int64), config)) == []
+    assert list(edges(np.array([7]), config)) == [(1, True)]
+    late = np.array([0, 60, 10, 105, 99, 250])
+    assert list(edges(late, config)) == [(1, False), (3, True), (5, True), (6, True)]
+    assert list(edges(np.array([40, 90]), config, start_us=0)) == [(1, False), (2, True)]
+    # 24 us are in the first quarter, 25 us in the second
+    assert list(edges(np.array([0, 24, 25]), config)) == [(2, False), (3, True)]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"window_events": 8, "window_us": None},
+        {"last_events": 8, "representation": "count"},
+    ],
+)
+def test_where_windows_of_a_number_of_events_are_read(settings):
+    config = TNTConfig(**settings)
+    expected = [(2, False), (4, False), (8, True), (10, False), (11, True)]
+    assert list(edges(np.arange(11), config)) == expected

@@ -1,0 +1,73 @@
+"""Training stores statistics of the classes, from which more are taught."""
+
+import numpy as np
+import pytest
+from training.gestures import bar
+
+from async_tnt import Processor, load_model
+from async_tnt.networks.teaching import teach
+from async_tnt.networks.teaching.statistics import MAX_BYTES
+
+pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+
+def bars(kind, first, n):
+    return [bar(kind, seed) for seed in range(first, first + n)]
+
+
+def test_a_trained_model_has_statistics_of_what_it_learned_from(trained):
+    model = load_model(trained)
+    statistics = model.statistics
+    assert statistics.trained == model.classes == ("flat", "upright")
+    # of each class ten recordings of one window were learned from, each is read at three moments
+    assert [moments.count for moments in statistics.moments.values()] == [30, 30]
+    assert statistics.nothing.count == 60
+    assert statistics.n_bytes <= MAX_BYTES
+    # the mean is that of the windows as they were recorded: of these recordings about the same
+    again = model.with_statistics({name: bars(name, 0, 12) for name in model.classes})
+    assert again.statistics.layer == statistics.layer
+    for name in model.classes:
+        ours = statistics.projection @ statistics.moments[name].mean[:-1] + statistics.center
+        theirs = again.statistics.projection @ again.statistics.moments[name].mean[:-1]
+        theirs = theirs + again.statistics.center
+        assert np.corrcoef(ours, theirs)[0, 1] > 0.9
+
+
+def test_a_class_is_taught_to_a_trained_model(trained):
+    model = load_model(trained)
+    taught = model.with_class("slanted", bars("slanted", 500, 8))
+    labels = []
+    for kind in ("flat", "upright", "slanted"):
+        for recording in bars(kind, 900, 10):
+            processor = Processor(taught, start_us=0)
+            processor.push(recording)
+            labels.append(processor.fire().label == kind)
+    assert np.mean(labels) > 0.75
+    assert taught.record["taught"]["slanted"]["taken_of_nothing"] <= 0.5
+
+
+def test_an_option_leaves_statistics_out(gestures, train):
+    code, err, out = train(gestures, "--no-statistics")
+    assert code == 0 and "statistics" not in err
+    model = load_model(out)
+    assert model.statistics is None
+    assert "--no-statistics" in model.record["command"]
+
+
+def test_of_many_windows_some_are_read(gestures, train, monkeypatch):
+    monkeypatch.setattr(teach, "MOST_READINGS", 6)
+    code, _, out = train(gestures)
+    assert code == 0
+    statistics = load_model(out).statistics
+    assert [moments.count for moments in statistics.moments.values()] == [6, 6]
+    assert statistics.nothing.count == 6
+    assert statistics.n_components == 16
+
+
+@pytest.mark.parametrize("words", [("--last-events", "400"), ("--last-us", "50000")])
+def test_windows_that_slide_have_statistics(gestures, train, words):
+    code, _, out = train(gestures, *words)
+    assert code == 0
+    model = load_model(out)
+    assert all(moments.count >= 30 for moments in model.statistics.moments.values())
+    assert model.with_class("slanted", bars("slanted", 0, 5)).classes[-1] == "slanted"
