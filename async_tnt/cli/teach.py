@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="a class to leave out; done first, so that its name may be taught anew",
+        help="a class to leave out; this is done first, so its name may be taught again",
     )
     parser.add_argument(
         "--out",
