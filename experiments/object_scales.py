@@ -69,7 +69,7 @@ TIMES_MS = (10, 30, 50, 100)
 N_TUNING = (60, 30)
 """Scenes of the tuning seed on each of `SENSORS`."""
 
-N_FINAL = (150, 60)
+N_FINAL = (200, 100)
 """Scenes of the final set on each of `SENSORS`."""
 
 N_CURVE = 30

@@ -14,7 +14,8 @@ from damage import damaged_json
 from small_sets import write_pictures
 
 from async_tnt import load_model
-from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.simulation.outlines import MOMENTS, POINTS
+from async_tnt.simulation.picture_scene import PictureRecording, SceneSettings
 from async_tnt.simulation.pictures import read_picture
 from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training import plan, settings, simulated_pictures
@@ -34,6 +35,7 @@ from async_tnt.volume.events import EVENT_DTYPE
 
 SENSOR = (24, 20)
 EVENT = np.zeros(1, EVENT_DTYPE)
+NOTHING = PictureRecording(EVENT[:0], np.zeros((MOMENTS, POINTS, 2), np.float32))
 
 
 @pytest.fixture(autouse=True)
@@ -267,7 +269,7 @@ def test_every_recording_has_motions_of_its_own(tmp_path, monkeypatch):
 def test_a_sensor_that_takes_longer_takes_fewer(sensor, follow, n_takes, tmp_path, monkeypatch):
     """A large one, and one that follows the object, which takes six times as long."""
     monkeypatch.setattr(simulated_pictures, "run_counted", lambda *_: None)
-    monkeypatch.setattr(simulated_pictures, "_read", lambda chunk: [EVENT[:0]] * len(chunk.takes))
+    monkeypatch.setattr(simulated_pictures, "_read", lambda chunk: [NOTHING] * len(chunk.takes))
     picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p", n=1))["bar"][0], 0)
     settings = SceneSettings(sensor, 20_000, follow=follow)
     with RecordingsWriter() as writer:
@@ -354,7 +356,7 @@ def test_without_a_sensor_or_pictures(tmp_path, program, monkeypatch):
     assert code == 2 and "expected pictures or sessions, got both: bar/bar00.png and day.npz" in err
     (tmp_path / "p/day.npz").unlink()
     (tmp_path / "p/day_labels.csv").unlink()
-    monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: np.zeros(0, EVENT_DTYPE))
+    monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: NOTHING)
     with pytest.raises(
         ValueError, match=r"no window of class bar, disc has an event \(windows of 105000 us\)"
     ):
