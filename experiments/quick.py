@@ -51,6 +51,7 @@ QUICK = {
     "sliding": "--quick --json {out}/x.json",
     "sliding_training": "--quick --json {out}/x.json --out {out}/sliding",
     "sustained": "--quick",
+    "teaching": "--quick --json {out}/x.json",
     "thesis_table": "--smoke --nmnist {nmnist} --mnist {mnist} --images 2 --out {out}",
     "threads": "--quick",
     "unseen_motions": "--quick",

@@ -25,10 +25,11 @@ N_OF_NOTHING = 500
 """The most windows that are shown without a class."""
 
 
-def can_have_statistics(model: Model) -> bool:
-    """Whether a layer of a classifier has few enough numbers for features."""
+def can_have_statistics(model: Model, windows: Windows) -> bool:
+    """Whether a classifier's layers are small enough, and there are windows of each class."""
     trained = TrainedNetwork(model.config, model.network, model.weights)
-    return features_layer(model.layers, trained.shapes) is not None
+    has_all = len(np.unique(windows.labels)) == len(model.classes)
+    return has_all and features_layer(model.layers, trained.shapes) is not None
 
 
 def with_class_statistics(

@@ -88,7 +88,7 @@ def fit(
     data, settings, run_folder, start, motions, teachers, progress, report : see `loop.train`.
     statistics : whether a classifier gets statistics of its classes, at most 3 MB, so that more
         can be taught, see `Model.with_class`. It gets none if its network has no layer of at most
-        4,096 numbers.
+        4,096 numbers, or if a class has no window to learn from.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def fit(
         scores = scores_of(data.classes, evaluation.recording_confusion, evaluation.confusion)
     if motions is not None and len(motions.validation) >= MIN_MOVED:
         record["validation_motions"] = _scores_in_motions(model, motions)
-    if statistics and not is_map_model and can_have_statistics(model):
+    if statistics and not is_map_model and can_have_statistics(model, data.training):
         model = with_class_statistics(model, data.training, progress)
     return Fitted(replace(model, record=record), scores, result.history)
 

@@ -12,6 +12,9 @@ from experiments.tables.parts import of_report, percent, table
 COMPARED = {"again": "everything again", "fine": "trained further"}
 """What taught networks are compared with: prefix of the entry -> title."""
 
+NOT_MEASURED = "Not measured in this run."
+"""What stands in the place of a table if a report has none of its entries."""
+
 
 def _with(report: dict[str, Any], prefix: str) -> list[dict[str, Any]]:
     """The entries of a report whose names begin with a word."""
@@ -40,6 +43,8 @@ def _cells(score: Callable[[str], list[float]]) -> list[str]:
 def teaching(report: dict[str, Any]) -> str:
     """Windows and recordings right, by the number of recordings of the new class."""
     digits = _with(report, "without")
+    if not digits:
+        return NOT_MEASURED
     rows = []
     for k in digits[0]["taught"]:
         scores = _cells(lambda key, k=k: _taught(digits, k, key))  # type: ignore[misc]
@@ -68,7 +73,7 @@ def teaching_poker(report: dict[str, Any]) -> str:
     """Suits of POKER-DVS: windows and recordings right."""
     suits = _with(report, "poker")
     if not suits:
-        return "Not measured yet."
+        return NOT_MEASURED
     rows = []
     base = [
         f"- / {_share(entry['base'][key] for entry in suits)} / -"
@@ -87,6 +92,8 @@ def teaching_poker(report: dict[str, Any]) -> str:
 @of_report("teaching")
 def teaching_by_digit(report: dict[str, Any]) -> str:
     """Windows of each digit that was left out, and of the nine others."""
+    if not _with(report, "without"):
+        return NOT_MEASURED
     rows = []
     for entry in sorted(_with(report, "without"), key=lambda entry: str(entry["digit"])):
         row = [entry["digit"], _share([entry["base"]["old"]])]
@@ -103,6 +110,8 @@ def teaching_by_digit(report: dict[str, Any]) -> str:
 def teaching_costs(report: dict[str, Any]) -> str:
     """What a taught class takes of others, how sure it is, and how long teaching takes."""
     digits = _with(report, "without")
+    if not digits:
+        return NOT_MEASURED
     base = [
         "network of nine",
         f"- / {_share(entry['base']['old_early'] for entry in digits)}",
@@ -140,6 +149,8 @@ def teaching_costs(report: dict[str, Any]) -> str:
 def teaching_settings(report: dict[str, Any]) -> str:
     """Windows of held-out recordings of Train with other settings."""
     entries = _with(report, "settings")
+    if not entries:
+        return NOT_MEASURED
     rows = []
     for i, setting in enumerate(entries[0]["rows"]):
         name = ", ".join(

@@ -184,6 +184,8 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         for name, kind in (("wave", "upright"), ("clap", "flat")):
             for k in range(n):
                 write(Path(folder, name, f"{day}_{k:02d}.npz"), bar(kind, k + len(folder)))
+    for k in range(6):
+        write(Path("point", f"{k:02d}.npz"), bar("slanted", k))
     monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 2, "held-out": 1})
     monkeypatch.setattr(simulated_pictures, "N_TAKES", 1)
     write_pictures(Path("pictures"), n=2)
@@ -195,7 +197,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     np.savez("anything.npz", t=np.arange(0, 400_000, 50), x=x, y=y, p=p)
     text = dict(sections(ROOT / "docs" / "guide.md"))["Your own classes"]
     shown = commands(text)
-    assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run"}
+    assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run", "teach"}
     for words in shown:
         once = "pictures" in words or "--motions" in words
         quick = ["--grid", "24x18", "--network", "thesis", "--epochs", "1" if once else "5"]

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
+from made import random_model
 from training.gestures import bar
 
-from async_tnt import Processor, load_model
+from async_tnt import Processor, TNTConfig, load_model
 from async_tnt.networks.teaching import teach
 from async_tnt.networks.teaching.statistics import MAX_BYTES
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+from async_tnt.training import Recordings, make_windows
+from async_tnt.training.class_statistics import can_have_statistics, with_class_statistics
 
 
 def bars(kind, first, n):
@@ -71,3 +75,18 @@ def test_windows_that_slide_have_statistics(gestures, train, words):
     model = load_model(out)
     assert all(moments.count >= 30 for moments in model.statistics.moments.values())
     assert model.with_class("slanted", bars("slanted", 0, 5)).classes[-1] == "slanted"
+
+
+def test_a_class_without_windows_has_no_statistics():
+    config = TNTConfig(sensor=(20, 16), grid=(20, 16), bins=2, window_us=1000, transform="none")
+    model = random_model(config, classes=2)
+    t = np.arange(40, dtype=np.int32) % 20 * 10
+    pixels = np.arange(40, dtype=np.uint16) % 16
+    p = (pixels % 2).astype(np.uint8)
+    for labels, expected in (([0, 0], False), ([0, 1], True)):
+        offsets = np.array([0, 20, 40])
+        recordings = Recordings(t, pixels, pixels, p, offsets, np.array(labels), ("a", "b"))
+        windows = make_windows(recordings, config.window_us)
+        assert can_have_statistics(model, windows) == expected
+    statistics = with_class_statistics(model, windows).statistics
+    assert [moments.count for moments in statistics.moments.values()] == [1, 1]
