@@ -168,7 +168,7 @@ def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None
     group.add_argument(
         "--topic",
         metavar="NAME",
-        help="the topic to read, of a ROS bag with several topics of events",
+        help="the topic of events, of a ROS bag with several",
     )
     if single:
         group.add_argument(

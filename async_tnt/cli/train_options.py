@@ -90,7 +90,7 @@ def _add_held_out(group: argparse._ActionsContainer) -> None:
         type=_share,
         default=0.2,
         metavar="SHARE",
-        help="held-out share of each class's recordings (default: 0.2)",
+        help="held-out share of each class (default: 0.2)",
     )
     group.add_argument(
         "--groups",
@@ -130,8 +130,8 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
         "--scales",
         type=_range,
         metavar="MIN-MAX",
-        help="instead of --size, with --everywhere: objects of many sizes in scenes of the sensor; "
-        "their longer side, as a share of the sensor's shorter side (such as 0.08-0.33)",
+        help="with --everywhere: objects of many sizes in scenes of the sensor, measured as by "
+        "--size, in its place (such as 0.08-0.33)",
     )
     group.add_argument(
         "--camera",

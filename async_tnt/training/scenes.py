@@ -108,7 +108,7 @@ class Scales:
 
         Examples
         --------
-        >>> Scales(1 / 12, 1 / 3).grid((240, 180)), Scales(0.5, 0.9).grid((34, 34))
+        >>> Scales(1 / 12, 1 / 3).grid((240, 180)), Scales(0.4, 0.9).grid((34, 34))
         ((160, 120), (24, 24))
         """
         share = min(1.0, SMALLEST_CELLS / (self.least * min(sensor)))
