@@ -193,7 +193,7 @@ def _add_network(group: argparse._ActionsContainer) -> None:
         type=whole_number,
         default=0,
         metavar="N",
-        help="seed of weights, order and held-out groups (default: 0)",
+        help="seed of weights, order and groups (default: 0)",
     )
 
 

@@ -146,10 +146,8 @@ def test_pictures_options_are_refused_for_recordings_alone(program, tmp_path):
         (tmp_path / "set" / name / "1.npz").touch()
     for words in (("--size", "0.2-0.4"), ("--camera", "a.npz")):
         code, _, err = program("train", tmp_path / "set", *words)
-        assert (
-            code == 2
-            and "--camera, --size and --scales are for pictures; DATASET holds none" in err
-        )
+        assert code == 2
+        assert "--camera, --size and --scales are for pictures; DATASET holds none" in err
     code, _, err = program("train", tmp_path / "set", "--roi", "0,0,1,9", "--crop")
     assert code == 2 and "must have sides of at least 2 pixels, got 1x9" in err
 
