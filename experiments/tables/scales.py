@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.tables.decisions import box_cost
 from experiments.tables.parts import of_report, results, table
 
 COCO = {"map_50": "mAP .5", "map": "mAP", "map_75": "mAP .75"}
@@ -50,6 +51,11 @@ def object_kinds(report: dict[str, Any]) -> str:
         of_kinds = [model["scores"][sensor]["f1_of_kinds"] for model in models]
         rows.append([sensor, *(_three([one[kind] for one in of_kinds]) for kind in kinds)])
     return table(["sensor", *kinds], rows)
+
+
+def object_cost() -> str:
+    """A table of what a decision after one event costs, with boxes and with points."""
+    return box_cost(results("box_cost_scales"))
 
 
 def object_curve() -> str:

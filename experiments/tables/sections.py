@@ -428,6 +428,10 @@ SECTIONS = (
                 "-m experiments.object_scales --out FOLDER --json "
                 "experiments/results/object_scales_tuning.json`"
             ),
+            scales.object_cost: (
+                "A decision after one event, with boxes and with points, in one run: `python -m "
+                "experiments.box_cost MODEL --json experiments/results/box_cost_scales.json`"
+            ),
         },
     ),
     Section(
