@@ -22,6 +22,7 @@ from experiments.tables import (
     decisions,
     differences,
     published,
+    scales,
     sections,
     thesis,
 )
@@ -34,6 +35,7 @@ SHORT = (
     decisions.speed,
     thesis.unseen_motion,
     differences.thesis_answers,
+    scales.object_scales_in_short,
 )
 """Tables of README and of the page of results that RESULTS.md does not have."""
 

@@ -41,6 +41,32 @@ def object_scales(report: dict[str, Any]) -> str:
     return table(["sensor", "ms", "F1", *COCO.values(), *areas], rows)
 
 
+MOMENTS = {
+    "10": "10 ms",
+    "30": "30 ms",
+    "50": "50 ms, the end of the first window",
+    "100": "100 ms, the end of the second window",
+}
+"""Time of a score, in milliseconds -> its title."""
+
+
+@of_report("object_scales")
+def object_scales_in_short(report: dict[str, Any]) -> str:
+    """A table of the main scores in made scenes, by time, the sensors side by side."""
+    names = ("map_50", "map", "f1")
+    rows = []
+    for ms, title in MOMENTS.items():
+        cells = [title]
+        for sensor in report["scenes"]:
+            of_models = [model["scores"][sensor][ms] for model in report["models"]]
+            cells += [_three([scores[name] for scores in of_models]) for name in names]
+        rows.append(cells)
+    head = ["after"]
+    for sensor in report["scenes"]:
+        head += [f"{sensor}: {COCO['map_50']}", COCO["map"], "F1"]
+    return table(head, rows)
+
+
 @of_report("object_scales")
 def object_kinds(report: dict[str, Any]) -> str:
     """A table of F1 by kind at the end of the scenes."""
