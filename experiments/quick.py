@@ -44,6 +44,7 @@ QUICK = {
     "moving_mnist": "--mnist {mnist} --out {out}/moving --digits 2 --nmnist {nmnist}",
     "network": "--seconds 1 --pings 50",
     "nothing": "--quick",
+    "object_scales": "--quick --json {out}/x.json --out {out}/scales",
     "pixel_outputs": "--quick --json {out}/x.json",
     "recipes": "--nmnist {nmnist} --sets nmnist --candidates counts --out {out}",
     "spiking": "--quick --nmnist {nmnist} --json {out}/x.json",
