@@ -123,8 +123,7 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
         "--scales",
         type=_range,
         metavar="MIN-MAX",
-        help="instead of --size, with --everywhere: objects of many sizes in scenes of the sensor; "
-        "their longer side, as a share of the sensor's shorter side (such as 0.08-0.33)",
+        help="instead: of objects in scenes, for --everywhere",
     )
     group.add_argument(
         "--camera",
@@ -170,9 +169,8 @@ def _add_network(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--network",
         metavar="NAME",
-        help="residual (default), wide, conv4, separable, thesis; with --everywhere map (default) "
-        "or pyramid (default with --scales); or FILE.py:FUNCTION, a function of yours of channels, "
-        "(width, height) and n_classes",
+        help="residual (default), wide, conv4, separable, thesis, map or pyramid (--everywhere), "
+        "or FILE.py:FUNCTION, of channels, (width, height) and n_classes",
     )
     group.add_argument(
         "--epochs",

@@ -723,7 +723,7 @@ def test_what_a_map_model_refuses():
     ):
         Processor(larger, classifier=CompiledClassifier(model), classes=model.classes)
     with pytest.raises(
-        ValueError, match="must return 4 channels, one more than classes, or 6, got 3"
+        ValueError, match="must return 4 channels, one more than classes, or 6 or 8, got 3"
     ):
         Processor(CONFIG, classifier=lambda volume: np.zeros((3, 2, 2)), classes=list("abc")).fire()
     one_place = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(4, 4, 1))
