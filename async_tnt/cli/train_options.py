@@ -177,9 +177,8 @@ def _add_network(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--network",
         metavar="NAME",
-        help="residual (default), wide, conv4, separable, thesis; with --everywhere map (default) "
-        "or pyramid (default with --scales); or FILE.py:FUNCTION, a function of yours of channels, "
-        "(width, height) and n_classes",
+        help="residual (default), wide, conv4, separable, thesis, map or pyramid (--everywhere), "
+        "or FILE.py:FUNCTION, of channels, (width, height) and n_classes",
     )
     group.add_argument(
         "--epochs",
