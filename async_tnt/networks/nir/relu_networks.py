@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.extras import needs_extra
 from async_tnt.base.messages import short
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.layers.layer import Layer, Shape
@@ -52,16 +51,9 @@ def relu_graph(
     ImportError : the library nir is not installed.
     NotImplementedError : a layer has no NIR form. The message names the layer.
     """
-    with needs_extra("nir", "NIR graphs are written by nir"):
-        import nir
     tensors = {name: w.shape for name, w in weights.items()}
     writer = _ReluWriter(weights, layer_shapes(layers, volume, tensors))
-    for layer in layers:
-        writer.add_layer(layer)
-    writer.add_output(layers[-1]["name"])
-    metadata = {**metadata, ACTIVATION: RELU}
-    # nir's check of types takes the channels of one group for those of a convolution's input
-    return nir.NIRGraph(writer.nodes, writer.edges, metadata=metadata, type_check=False)
+    return writer.graph(layers, {**metadata, ACTIVATION: RELU})
 
 
 class _ReluWriter(GraphWriter):

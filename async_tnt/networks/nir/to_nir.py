@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.extras import needs_extra
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.networks.nir.from_nir import PolarityOrder
@@ -54,18 +53,10 @@ def nir_from_layers(
     ImportError : the library nir is not installed.
     NotImplementedError : a layer has no NIR form. The message names the layer.
     """
-    with needs_extra("nir", "NIR graphs are written by nir"):
-        import nir
     tensors = {name: w.shape for name, w in weights.items()}
     shapes = layer_shapes(layers, volume, tensors, operations=SPIKING_OPERATIONS)
     order = OFF_FIRST if polarity == "off_first" else ON_FIRST
-    writer = _SpikingWriter(layers, weights, shapes, order)
-    for layer in layers:
-        writer.add_layer(layer)
-    writer.add_output(layers[-1]["name"])
-    # neurons with a parameter for each channel fail the check of types, which wants one for each
-    # place
-    return nir.NIRGraph(writer.nodes, writer.edges, metadata=dict(metadata), type_check=False)
+    return _SpikingWriter(layers, weights, shapes, order).graph(layers, metadata)
 
 
 class _SpikingWriter(GraphWriter):

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.base.extras import needs_extra
 from async_tnt.networks.layers.layer import Layer, Shape
+
+if TYPE_CHECKING:
+    import nir
 
 
 class GraphWriter:
@@ -26,11 +30,28 @@ class GraphWriter:
     """
 
     def __init__(self, weights: Mapping[str, np.ndarray], shapes: Mapping[str, Shape]) -> None:
+        with needs_extra("nir", "NIR graphs are written by nir"):
+            import nir
+        self._nir = nir
         self.nodes: dict[str, Any] = {}
         self.edges: list[tuple[str, str]] = []
         self.nodes_of: dict[str, list[str]] = {}
         self.shapes = shapes
         self._weights = weights
+
+    def graph(self, layers: Sequence[Layer], metadata: Mapping[str, Any]) -> nir.NIRGraph:
+        """The graph of layers, of which the last is the output.
+
+        Raises
+        ------
+        NotImplementedError : a layer has no NIR form. The message names the layer.
+        """
+        for layer in layers:
+            self.add_layer(layer)
+        self.add_output(layers[-1]["name"])
+        # nir's check of types wants a parameter for each place, and not one for each channel, and
+        # takes the channels of one group for those of a convolution's input
+        return self._nir.NIRGraph(self.nodes, self.edges, metadata=dict(metadata), type_check=False)
 
     def add_layer(self, layer: Layer) -> None:
         """Add the node of a layer.
@@ -59,9 +80,7 @@ class GraphWriter:
 
     def add(self, name: str, kind: str, sources: Sequence[str], **fields: Any) -> None:
         """Add a node that reads other nodes."""
-        import nir
-
-        self.nodes[name] = getattr(nir, kind)(**fields)
+        self.nodes[name] = getattr(self._nir, kind)(**fields)
         self.edges += [(source, name) for source in sources]
 
     def free_name(self, name: str) -> str:
