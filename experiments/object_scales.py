@@ -10,11 +10,11 @@ done by
     async-tnt train pictures --everywhere --sensor 240x180 --scales 0.083-0.333 --window-us 50000
         --volume representation=volume,bins=5,polarity=split,transform=none
 
-It is scored in scenes of other objects of these kinds (`objects/scenes.py`), which share no code
-with the training's simulation, on the sensor of the training and, by `Model.for_sensor`, on
-640x480 pixels. The scores are COCO's mean average precision after 10, 30, 50 and 100 ms, and F1: an
-object is found if the middle of a box of its class lies in the ellipse that touches the sides of
-its box.
+It is scored in scenes of objects of these kinds (`objects/scenes.py`), which share no code with
+the training: neither with its simulation nor with the drawing of its pictures. There are scenes on
+the sensor of the training and, for `Model.for_sensor`, on 640x480 pixels. The scores are COCO's
+mean average precision after 10, 30, 50 and 100 ms, and F1: an object is found if the middle of a
+box of its class lies in the ellipse that touches the sides of its box.
 
 The first command trains, and scores scenes of the tuning seed: at some epochs for the learning
 curve, and at the end. The second one scores the final set once. What is finished is kept in
