@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,16 @@ from async_tnt.sources.files.labelled_recordings import (
 from async_tnt.sources.files.source_error import SourceError
 from async_tnt.sources.opening import is_live, open_source
 from async_tnt.sources.pixels.model_pixels import ModelPixels
+from async_tnt.training.class_statistics import with_nothing
 from async_tnt.training.dataset import fingerprint
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import windows_of
 from async_tnt.volume.events import EVENT_DTYPE, as_events
 
 USAGE = "async-tnt teach MODEL --class NAME RECORDING... [--class ...] [--forget NAME] --out FILE"
+MOST_KEPT = 50
+"""The most recordings of a class from which windows that show nothing are made."""
+
 DESCRIPTION = """\
 Teach a model a class that it has not seen, from a few recordings, in a second.
 
@@ -257,28 +264,44 @@ def _with_name(file: str | Path, message: str) -> str:
 
 @dataclass(frozen=True)
 class _File:
-    """A labelled recording that is read when it is needed."""
+    """A labelled recording that is read when it is needed.
+
+    Parameters
+    ----------
+    reader : reads its file.
+    recording : the file, and the part of it.
+    bar : counts what was read.
+    kept : the events of the first `MOST_KEPT` recordings of its class, which it adds its own to.
+    """
 
     reader: _Reader
     recording: LabelledRecording
     bar: Bar
+    kept: list[np.ndarray]
 
     def read(self) -> np.ndarray:
         """The events that the model sees."""
         self.bar.update()
-        return self.reader.read_file(self.recording.path, self.recording.between_us)
+        events = self.reader.read_file(self.recording.path, self.recording.between_us)
+        if len(self.kept) < MOST_KEPT:
+            self.kept.append(events)
+        return events
 
 
 def _with_statistics(model: Model, folder: Path, reader: _Reader) -> Model:
     """The model with statistics from the recordings of a data set."""
     found = find_recordings(folder, "Train")
-    n = sum(map(len, found.values()))
+    kept: dict[str, list[np.ndarray]] = {name: [] for name in found}
     try:
-        with progress(n, "reading") as bar:
+        with progress(sum(map(len, found.values())), "reading") as bar:
             recordings = {
-                name: [_File(reader, file, bar) for file in files] for name, files in found.items()
+                name: [_File(reader, file, bar, kept[name]) for file in files]
+                for name, files in found.items()
             }
-            return model.with_statistics(recordings)
+            model = model.with_statistics(recordings)
+        labels = [label for label, name in enumerate(model.classes) for _ in kept[name]]
+        events = Recordings.from_events(chain(*(kept[name] for name in model.classes)), labels)
+        return with_nothing(model, windows_of(events, model.config))
     except SourceError:
         raise
     except ValueError as error:

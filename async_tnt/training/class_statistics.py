@@ -9,6 +9,7 @@ import numpy as np
 
 from async_tnt.base.progress import Bar
 from async_tnt.networks.models.model import Model
+from async_tnt.networks.teaching.moments import Moments
 from async_tnt.networks.teaching.taught_network import features_layer
 from async_tnt.networks.teaching.teach import (
     StatisticsMaker,
@@ -58,10 +59,30 @@ def with_class_statistics(
             of_class = windows[np.flatnonzero(windows.labels == label)]
             readings[name] = _read(maker.reader, of_class, model.config.window_us, maker.most)
             bar.update()
-    nothing = None
-    if not model.config.needs_regressor:  # its landmark would need the landmark network
-        nothing = _read_nothing(maker.reader, windows, model, maker.most)
-    return replace(model, statistics=maker.make(readings, nothing))
+    return with_nothing(replace(model, statistics=maker.make(readings)), windows)
+
+
+def with_nothing(model: Model, windows: Windows) -> Model:
+    """The model whose statistics are also of windows that show no class, see `augment`.
+
+    Models whose landmark is regressed and those of `window_events` stay as they are: no such
+    windows are made for them.
+
+    Parameters
+    ----------
+    model : a classifier of windows, with statistics of its trained classes.
+    windows : some windows of its classes.
+    """
+    statistics = model.statistics
+    assert statistics is not None
+    config = model.config
+    # the landmark network would be needed
+    if config.needs_regressor or config.window_events is not None:
+        return model
+    trained = TrainedNetwork(config, model.network, model.weights)
+    found = _read_nothing(trained.reader(statistics.layer), windows, model)
+    nothing = Moments.of(statistics.readings(found.features, found.logits))
+    return replace(model, statistics=replace(statistics, nothing=nothing))
 
 
 def _read(reader: WindowReader, windows: Windows, window_us: int, most: int) -> Readings:
@@ -76,11 +97,11 @@ def _read(reader: WindowReader, windows: Windows, window_us: int, most: int) -> 
     return joined(parts, most)
 
 
-def _read_nothing(reader: WindowReader, windows: Windows, model: Model, most: int) -> Readings:
+def _read_nothing(reader: WindowReader, windows: Windows, model: Model) -> Readings:
     """Readings of windows that show each kind of nothing equally often."""
     volumes = BatchVolumes(model.config)
     kinds = list(KINDS.values())
-    chosen = spread_order(len(windows))[: min(N_OF_NOTHING, max(1, most // len(MOMENTS)))]
+    chosen = spread_order(len(windows))[:N_OF_NOTHING]
     rows = []
     ends = []
     for i, index in enumerate(chosen.tolist()):

@@ -113,8 +113,11 @@ def test_a_lesson_that_fails_leaves_the_stream_as_it_was(
             "--teach needs one camera or network stream",
         ),
         (
-            ("udp://127.0.0.1:0", "--model", "digits", "--teach", "m.safetensors"),
-            "digits has no statistics of its classes",
+            (
+                *("udp://127.0.0.1:0", "--model", "digits-from-pictures"),
+                *("--teach", "m.safetensors"),
+            ),
+            "digits-from-pictures has no statistics of its classes",
         ),
     ],
 )

@@ -151,7 +151,10 @@ def test_statistics_come_from_a_data_set_once(program, base, lesson, refused, tm
     words = ("--statistics", tmp_path / "set", "--class", "d", lesson, "--out", out)
     code, stdout, _ = program("teach", without, *words)
     assert code == 0 and "4 classes" in stdout
-    assert load_model(out).classes == (*CLASSES, "d")
+    taught = load_model(out)
+    assert taught.classes == (*CLASSES, "d")
+    assert taught.statistics.nothing.count > 0
+    assert 0 <= taught.record["taught"]["d"]["taken_of_nothing"] <= 1
     line = refused("--statistics", tmp_path / "set", model=out)
     assert "statistics are of the classes a network was trained on" in line
     (tmp_path / "set" / "c").rename(tmp_path / "set" / "nose")

@@ -429,11 +429,8 @@ class Model:
         >>> from async_tnt import load_model
         >>> from async_tnt.sources import open_recording, sample_recordings
         >>> model = load_model("digits")
-        >>> samples = {
-        ...     str(digit): [open_recording(path)] for digit, path in sample_recordings().items()
-        ... }
-        >>> nine = model.with_statistics(samples).without_class("8")
-        >>> taught = nine.with_class("eight", samples["8"])
+        >>> nine = model.without_class("8")
+        >>> taught = nine.with_class("eight", [open_recording(sample_recordings()[8])])
         >>> taught.classes[-1], len(taught.classes)
         ('eight', 10)
         """
