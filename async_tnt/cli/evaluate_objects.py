@@ -14,7 +14,12 @@ import numpy as np
 from async_tnt.base.progress import progress
 from async_tnt.cli.output import complain, say
 from async_tnt.evaluation.box_scores import CONVENTIONS, FoundBoxes
-from async_tnt.evaluation.object_scores import SHARES, ObjectScores, score_recording
+from async_tnt.evaluation.object_scores import (
+    ObjectScores,
+    by_milliseconds,
+    moments_us,
+    score_recording,
+)
 from async_tnt.evaluation.object_tables import ObjectTable, find_tables, read_table
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
@@ -30,29 +35,29 @@ class _Totals:
 
     Attributes
     ----------
-    scores : share of a window -> the scores after this share; empty before the first recording.
+    scores : for each of `moments_us`, the scores; empty before the first recording.
     n_moments : number of moments in the tables.
     n_off_sensor : number of objects in the tables whose middle is off the sensor.
     unknown : class that the model does not know -> number of its objects in the tables.
     skipped : for each recording that cannot be read, the error.
-    boxes : share of a window -> the boxes of the tables and those found after this share; empty if
+    boxes : for each of `moments_us`, the boxes of the tables and those found until then; empty if
         the model says no sizes.
     """
 
-    scores: dict[float, ObjectScores] = field(default_factory=dict)
+    scores: dict[int, ObjectScores] = field(default_factory=dict)
     n_moments: int = 0
     n_off_sensor: int = 0
     unknown: Counter[str] = field(default_factory=Counter)
     skipped: list[str] = field(default_factory=list)
-    boxes: dict[float, FoundBoxes] = field(default_factory=dict)
+    boxes: dict[int, FoundBoxes] = field(default_factory=dict)
 
-    def add(self, scores: dict[float, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
+    def add(self, scores: dict[int, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
         """Add the scores and the table of one recording."""
-        for share, recording_scores in scores.items():
-            if share in self.scores:
-                self.scores[share] += recording_scores
+        for moment, recording_scores in scores.items():
+            if moment in self.scores:
+                self.scores[moment] += recording_scores
             else:
-                self.scores[share] = recording_scores
+                self.scores[moment] = recording_scores
         self.n_moments += len(np.unique(table.t))
         is_off = ((table.middle < 0) | (table.middle >= sensor)).any(axis=1)
         self.n_off_sensor += int(is_off.sum())
@@ -77,7 +82,8 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
     tables = find_tables(args.dataset)
     totals = _Totals()
     if model.has_sizes:
-        totals.boxes = {share: FoundBoxes(CONVENTIONS[args.boxes]) for share in SHARES}
+        moments = moments_us(model.config.window_us)
+        totals.boxes = {moment: FoundBoxes(CONVENTIONS[args.boxes]) for moment in moments}
     with progress(len(tables), "recordings") as bar:
         for path, table in tables:
             try:
@@ -137,14 +143,11 @@ def _score(
 
 def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, Any]:
     """The report with all numbers, as --json prints it."""
-    f1_against_time = {}
-    for share, scores in totals.scores.items():
-        after_ms = share * model.config.window_us / 1e3
-        f1_against_time[f"{after_ms:g}"] = round(scores.f1, 5)
-    after_whole_window = totals.scores[1.0]
+    f1_of = {moment: round(scores.f1, 5) for moment, scores in totals.scores.items()}
+    at_end = totals.scores[model.config.window_us]
     return {
-        **after_whole_window.to_dict(model.classes),
-        "f1_against_time_ms": f1_against_time,
+        **at_end.to_dict(model.classes),
+        "f1_against_time_ms": by_milliseconds(f1_of),
         **_box_scores(totals, model),
         "recordings": n_recordings,
         "moments": totals.n_moments,
@@ -155,19 +158,17 @@ def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, An
 
 
 def _box_scores(totals: _Totals, model: Model) -> dict[str, Any]:
-    """COCO's scores after each share of a window, and why there are none, if there are none."""
+    """COCO's scores at each of `moments_us`, and why there are none, if there are none."""
     if not totals.boxes:
         return {"coco": None, "no_coco": "the model says no sizes"}
-    if not totals.boxes[1.0].n_present:
+    at_end = model.config.window_us
+    if not totals.boxes[at_end].n_present:
         return {"coco": None, "no_coco": "the tables have no boxes that count"}
     try:
-        by_time = {
-            f"{share * model.config.window_us / 1e3:g}": boxes.scores(model.classes)
-            for share, boxes in totals.boxes.items()
-        }
+        scores_of = {moment: boxes.scores(model.classes) for moment, boxes in totals.boxes.items()}
     except ImportError as error:
         return {"coco": None, "no_coco": str(error)}
-    return {"coco": list(by_time.values())[-1], "coco_against_time_ms": by_time}
+    return {"coco": scores_of[at_end], "coco_against_time_ms": by_milliseconds(scores_of)}
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

@@ -125,7 +125,7 @@ def test_the_command(recording, program):
     report = json.loads(out)
     assert code == 0 and report["f1"] == 0.66667
     assert report["coco"]["map"] == pytest.approx(0.5)  # one class of two
-    assert set(report["coco_against_time_ms"]) == {"0.3", "0.5", "1"}
+    assert report["coco_against_time_ms"] == {"1": report["coco"]}  # a window of 1 ms
     _, out, _ = program("evaluate", *recording)
     assert "mAP .5" in out and "0.500" in out.splitlines()[-1]
     # of Gen1 only larger boxes count
