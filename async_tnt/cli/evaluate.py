@@ -20,7 +20,7 @@ from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS_TEXT, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
-from async_tnt.evaluation.box_scores import CONVENTIONS
+from async_tnt.evaluation.box_conventions import CONVENTIONS
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Job, Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
@@ -137,6 +137,8 @@ def main(args: argparse.Namespace) -> int:
         )
     if model.places is not None:
         return evaluate_objects(args, model)
+    if args.boxes != "all":
+        raise ValueError(f"{args.model} finds no objects, for which --boxes {args.boxes} is")
 
     pixels = model_pixels_of(pixels_of(args), model)
     recordings_of_class = labelled_recordings(args.dataset, model)

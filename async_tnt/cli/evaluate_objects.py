@@ -13,7 +13,8 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.cli.output import complain, say
-from async_tnt.evaluation.box_scores import CONVENTIONS, FoundBoxes
+from async_tnt.evaluation.box_conventions import CONVENTIONS
+from async_tnt.evaluation.box_scores import FoundBoxes
 from async_tnt.evaluation.object_scores import (
     ObjectScores,
     by_milliseconds,
@@ -36,8 +37,9 @@ class _Totals:
     Attributes
     ----------
     scores : for each of `moments_us`, the scores; empty before the first recording.
-    n_moments : number of moments in the tables.
-    n_off_sensor : number of objects in the tables whose middle is off the sensor.
+    n_moments : number of times in the tables at which objects count.
+    n_left_out : number of objects in the tables that do not count, by --boxes.
+    n_off_sensor : number of the other objects in the tables whose middle is off the sensor.
     unknown : class that the model does not know -> number of its objects in the tables.
     skipped : for each recording that cannot be read, the error.
     boxes : for each of `moments_us`, the boxes of the tables and those found until then; empty if
@@ -46,13 +48,14 @@ class _Totals:
 
     scores: dict[int, ObjectScores] = field(default_factory=dict)
     n_moments: int = 0
+    n_left_out: int = 0
     n_off_sensor: int = 0
     unknown: Counter[str] = field(default_factory=Counter)
     skipped: list[str] = field(default_factory=list)
     boxes: dict[int, FoundBoxes] = field(default_factory=dict)
 
     def add(self, scores: dict[int, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
-        """Add the scores and the table of one recording."""
+        """Add the scores of one recording, and the objects of its table that count."""
         for moment, recording_scores in scores.items():
             if moment in self.scores:
                 self.scores[moment] += recording_scores
@@ -78,12 +81,16 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         raise ValueError(
             f"{args.model}: objects are scored in windows of a duration, not of a number of events"
         )
+    if args.boxes != "all" and not model.has_sizes:
+        raise ValueError(
+            f"{args.model} says no sizes of objects, by which --boxes {args.boxes} leaves some out"
+        )
 
     tables = find_tables(args.dataset)
     totals = _Totals()
     if model.has_sizes:
         moments = moments_us(model.config.window_us)
-        totals.boxes = {moment: FoundBoxes(CONVENTIONS[args.boxes]) for moment in moments}
+        totals.boxes = {moment: FoundBoxes() for moment in moments}
     with progress(len(tables), "recordings") as bar:
         for path, table in tables:
             try:
@@ -97,7 +104,8 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
             f"{totals.skipped[0]}"
         )
 
-    report = _report_of(totals, model, len(tables) - len(totals.skipped))
+    n_recordings = len(tables) - len(totals.skipped)
+    report = {**_report_of(totals, model, n_recordings), "boxes": args.boxes}
     if args.json:
         say(json.dumps(report))
     else:
@@ -137,8 +145,11 @@ def _score(
     if recording.sensor is None:
         raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
     fitting = model.for_sensor(recording.sensor)
-    scores = score_recording(fitting, recording, table, totals.boxes or None)
-    totals.add(scores, table, recording.sensor)
+    convention = CONVENTIONS[args.boxes]
+    counted = convention.of_table(table)
+    scores = score_recording(fitting, recording, counted, totals.boxes or None, convention)
+    totals.add(scores, counted, recording.sensor)
+    totals.n_left_out += len(table.t) - len(counted.t)
 
 
 def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, Any]:
@@ -151,6 +162,7 @@ def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, An
         **_box_scores(totals, model),
         "recordings": n_recordings,
         "moments": totals.n_moments,
+        "left_out": totals.n_left_out,
         "unknown_classes": totals.unknown,
         "off_sensor": totals.n_off_sensor,
         "skipped": totals.skipped,
@@ -177,6 +189,12 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"F1 {report['f1']:.4f}: {report['precision']:.4f} of {report['found']} objects found are "
         f"right, {report['recall']:.4f} of {report['objects']} are found, "
         f"at {report['moments']} moments of {report['recordings']} recordings",
+    ]
+    if report["boxes"] != "all":
+        lines.append(
+            f"--boxes {report['boxes']}: {report['left_out']} objects of the tables do not count"
+        )
+    lines += [
         "",
         f"{'class':<24} {'F1':>8} {'objects':>9} {'found':>9} {'right':>9}",
     ]

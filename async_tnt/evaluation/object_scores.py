@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from async_tnt.evaluation.box_conventions import ALL_BOXES, Convention
 from async_tnt.evaluation.box_scores import FoundBoxes
 from async_tnt.evaluation.object_tables import ObjectTable
 from async_tnt.kernels.decisions.objects import CLASS, FOUND_SIZE, X, Y
@@ -171,6 +172,7 @@ def score_recording(
     recording: Recording,
     table: ObjectTable,
     boxes: Mapping[int, FoundBoxes] | None = None,
+    convention: Convention = ALL_BOXES,
 ) -> dict[int, ObjectScores]:
     """Score the objects that a model finds in a recording, early in a window and at its end.
 
@@ -183,6 +185,8 @@ def score_recording(
     model : a map model, for the recording's sensor.
     boxes : for each of `moments_us`, the boxes at all times so far, to which those of this
         recording are added; None: boxes are not kept.
+    convention : which found objects count. Rows of the table that do not count are left out before,
+        by `Convention.of_table`. If none is left, the recording is not read.
 
     Returns
     -------
@@ -201,10 +205,13 @@ def score_recording(
     scores = dict.fromkeys(moments, ObjectScores(zeros, zeros, zeros))
     # the boxes of a recording that turns out to be damaged do not count
     found_boxes: list[tuple[int, slice, np.ndarray]] = []
+    if not len(table.t):
+        return scores
 
     times_us, rows_of = zip(*table.moments(), strict=True)
     n_events = 0
-    for rows, events in zip(rows_of, _windows(recording, times_us, window_us), strict=True):
+    windows = _windows(recording, times_us, window_us)
+    for t_us, rows, events in zip(times_us, rows_of, windows, strict=True):
         processor.reset()
         n_events += len(events)
         stops = np.searchsorted(events["t"], moments)
@@ -212,7 +219,7 @@ def score_recording(
         parts = np.split(events, stops)[:-1]
         for moment, part in zip(moments, parts, strict=True):
             processor.push(part)
-            found = _objects_of(processor, moment - 1)
+            found = convention.of_found(_objects_of(processor, moment - 1), t_us)
             if boxes is not None:
                 found_boxes.append((moment, rows, found))
             scores[moment] += score_objects(
