@@ -149,6 +149,16 @@ def test_the_scores_of_gen1_by_hand(gen1, model, program):
     assert "--boxes gen1: 4 objects of the tables do not count" in out
 
 
+def test_the_folder_of_the_whole_set_may_be_given(gen1, model, program):
+    """Its folder `test` is scored, and not what lies beside it."""
+    (gen1.parent / "train").mkdir()
+    assert report_of(program, model, gen1.parent) == report_of(program, model, gen1)
+    (gen1 / "17-04-04_11-00-13_cut_15_500000_60500000_bbox.npy").unlink()
+    (gen1 / "17-03-30_12-53-58_61500000_121500000_bbox.npy").unlink()
+    code, _, err = program("evaluate", model, gen1.parent)
+    assert code == 2 and f"{gen1}: no recordings NAME.* with a table of objects" in err
+
+
 def test_all_boxes_count_unless_a_convention_is_named(gen1, model, program):
     """Six cars. Three false ones come before the two that are right, and a small one after them."""
     report = report_of(program, model, gen1)
