@@ -48,6 +48,7 @@ from async_tnt.training.settings import TrainSettings
 from async_tnt.training.training_data import TrainingData
 from async_tnt.volume.sensor import format_size
 from experiments.objects.kinds import KINDS
+from experiments.objects.mistakes import Mistakes
 from experiments.objects.scenes import FINAL_SEED, SENSORS, TUNING_SEED, made_scene
 from experiments.pictures.drawn import OTHER, write_drawn
 from experiments.scripts.options import add_count, exit_with, script_parser, write_outputs
@@ -108,7 +109,7 @@ class Scenes(NamedTuple):
 
 
 def score(model: Model, scenes: Scenes, tick: Callable[[], None]) -> dict[str, Any]:
-    """Time in ms -> the scores of a model in scenes at that time.
+    """Time in ms -> the scores of a model in scenes at that time; and what it mistakes at the end.
 
     tick : called after each scene.
     """
@@ -117,6 +118,7 @@ def score(model: Model, scenes: Scenes, tick: Callable[[], None]) -> dict[str, A
     n_classes = len(model.classes)
     boxes = {ms: FoundBoxes() for ms in TIMES_MS}
     counts = {ms: ObjectScores(*np.zeros((3, n_classes), np.int64)) for ms in TIMES_MS}
+    mistakes = Mistakes()
     for columns, labels, true_boxes in scenes:
         processor.reset()
         first = 0
@@ -125,12 +127,15 @@ def score(model: Model, scenes: Scenes, tick: Callable[[], None]) -> dict[str, A
             processor.push(tuple(column[first:end] for column in columns))
             first = end
             table = _table(present, [model.classes.index(label) for label in labels], ms)
-            objects = processor.fire().objects or ()
-            found = _rows([one for one in objects if one.label != OTHER])
+            objects = [one for one in processor.fire().objects or () if one.label != OTHER]
+            found = _rows(objects)
             boxes[ms].add(table, slice(None), found)
             counts[ms] += score_objects(found, table.label, table.middle, table.reach, n_classes)
+        found_boxes = np.array([one.box for one in objects]).reshape(-1, 4)
+        found_kinds = [one.label for one in objects]
+        mistakes.add(true_boxes[-1], labels, found_boxes, found_kinds, min(scenes.sensor))
         tick()
-    scores: dict[str, Any] = {}
+    scores: dict[str, Any] = {"mistakes": mistakes.to_dict()}
     for ms in TIMES_MS:
         scores[str(ms)] = {"f1": round(counts[ms].f1, 5), **boxes[ms].scores(model.classes)}
         if ms == TIMES_MS[-1]:
