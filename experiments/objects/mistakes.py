@@ -52,14 +52,14 @@ class Mistakes:
         overlaps = overlaps_of(boxes, found_boxes)
         sides = (boxes[:, 2:] - boxes[:, :2]).max(axis=1) / shorter
         for k, (kind, part) in enumerate(zip(kinds, np.searchsorted(EDGES, sides), strict=True)):
-            near = np.flatnonzero(overlaps[k] >= LEAST_OVERLAP)
+            near = np.flatnonzero(overlaps[k] >= LEAST_OVERLAP).tolist()
             is_right = any(found_kinds[i] == kind for i in near)
             self._n_objects[part] += 1
             self._n_found[part] += len(near) > 0
             self._n_right[part] += is_right
-            if len(near) and not is_right:
-                nearest = int(near[overlaps[k, near].argmax()])
-                self._pairs[kind, found_kinds[nearest]] += 1
+            if near and not is_right:
+                taken_for = found_kinds[near[int(overlaps[k, near].argmax())]]
+                self._pairs[kind, taken_for] += 1
 
     def to_dict(self) -> dict[str, Any]:
         """Counts by size, and the pairs that are mistaken most often, for JSON."""
