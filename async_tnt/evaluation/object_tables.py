@@ -63,6 +63,8 @@ DSEC_CLASSES = (
 """The classes of DSEC-Detection, by their numbers."""
 NAMES_FILE = "label_map_dictionary.json"
 """The file that names the classes of Prophesee's boxes. It lies beside them."""
+TEST_NAMES = ("Test", "test")
+"""Names of the folder of a data set that is for tests. Prophesee's sets and DSEC write it small."""
 POINT_REACH_PX = 5.0
 """The reach, in pixels, of an object that the table gives as a point. The reach of a box is the
 ellipse that touches the box's sides."""
@@ -101,15 +103,16 @@ class ObjectTable:
 def find_tables(folder: Path) -> list[tuple[Path, Path]]:
     """The recordings of a folder that have a table, as pairs (recording, table).
 
-    If the folder has a folder `Test`, the recordings are looked for in there. The folder may also
-    be a sequence of DSEC-Detection, or hold sequences.
+    If the folder has a folder `Test` or `test`, the recordings are looked for in there. The folder
+    may also be a sequence of DSEC-Detection, or hold sequences.
 
     Raises
     ------
     ValueError : the folder has no recording with a table, or two recordings share a table.
     OSError : the folder does not exist.
     """
-    folder = folder / "Test" if (folder / "Test").is_dir() else folder
+    parts = [folder / name for name in TEST_NAMES if (folder / name).is_dir()]
+    folder = parts[0] if parts else folder
     pairs = _sequences_of_dsec(folder)
     for path in sorted(folder.iterdir()):
         if not is_recording(path) or path.name.endswith((CSV, BOXES)):
