@@ -28,24 +28,29 @@ class FoundObject(NamedTuple):
 
 
 def box_overlap(
-    place: tuple[float, float],
-    size: tuple[float, float],
-    other_place: tuple[float, float],
-    other_size: tuple[float, float],
-) -> float:
+    place: torch.Tensor, size: torch.Tensor, other_place: torch.Tensor, other_size: torch.Tensor
+) -> torch.Tensor:
     """The area that two boxes share, divided by the area that they cover; 0 without areas.
 
-    Each box has a middle (x, y) and a size (width, height).
+    Each box has a middle (x, y) and a size (width, height): float64, (..., 2). Of (N, 1, 2) and
+    (K, 2) the overlaps of all pairs are computed, (N, K).
+
+    Example
+    -------
+    >>> middle, side = torch.zeros(2).double(), torch.full((2,), 8.0).double()
+    >>> float(box_overlap(middle, side, middle + torch.tensor([4.0, 0.0]), side))
+    0.3333333333333333
     """
-    shared = 1.0
-    for middle, side, other_middle, other_side in zip(
-        place, size, other_place, other_size, strict=True
-    ):
-        upper = min(middle + side / 2, other_middle + other_side / 2)
-        lower = max(middle - side / 2, other_middle - other_side / 2)
-        shared *= max(0.0, upper - lower)
-    covered = size[0] * size[1] + other_size[0] * other_size[1] - shared
-    return shared / covered if covered > 0 else 0.0
+    upper = torch.minimum(place + size / 2, other_place + other_size / 2)
+    lower = torch.maximum(place - size / 2, other_place - other_size / 2)
+    shared = (upper - lower).clamp(min=0).prod(-1)
+    covered = size.prod(-1) + other_size.prod(-1) - shared
+    return torch.where(covered > 0, shared / covered, 0.0)
+
+
+def _pairs(pairs: Sequence[tuple[float, float]]) -> torch.Tensor:
+    """Float64, (N, 2)."""
+    return torch.tensor(pairs, dtype=torch.float64).reshape(-1, 2)
 
 
 def boxes_on_map(
@@ -80,23 +85,18 @@ def boxes_on_map(
     n = 4 if has_places else 2
     boxes = maps[-n:].double().clamp(-10, 10)
     places = boxes[2:] if has_places else None
-    kept: list[FoundObject] = []
-    for found in objects_on_map(maps[:-n], near, boxes[:2].exp(), places):
-        overlaps = [
-            box_overlap(_scaled(found[2:4], scale), _scaled(found[4:], scale), place, size)
-            for place, size in (
-                (_scaled(other[2:4], scale), _scaled(other[4:], scale))
-                for other in kept
-                if other.label == found.label
-            )
-        ]
-        if all(overlap <= most_overlap for overlap in overlaps):
-            kept.append(found)
-    return kept
-
-
-def _scaled(pair: tuple[float, ...], scale: tuple[float, float]) -> tuple[float, float]:
-    return pair[0] * scale[0], pair[1] * scale[1]
+    objects = objects_on_map(maps[:-n], near, boxes[:2].exp(), places)
+    numbers = torch.tensor(objects, dtype=torch.float64).reshape(-1, len(FoundObject._fields))
+    middle = numbers[:, 2:4] * _pairs([scale])
+    size = numbers[:, 4:] * _pairs([scale])
+    overlaps = box_overlap(middle[:, None], size[:, None], middle, size)
+    is_same_class = numbers[:, None, 0] == numbers[:, 0]
+    excludes = ((overlaps > most_overlap) & is_same_class).tolist()
+    kept: list[int] = []
+    for i in range(len(objects)):
+        if not any(excludes[i][k] for k in kept):
+            kept.append(i)
+    return [objects[i] for i in kept]
 
 
 def objects_on_map(
@@ -134,28 +134,35 @@ def objects_on_map(
     """
     z = logits.double()
     s = z[:-1].amax(0) - z[-1]  # (R, C)
-    rows, columns = s.shape
-    side = 2 * near + 1
-    padded = F.pad(s[None, None], [near] * 4, value=-torch.inf)
-    windows = F.unfold(padded, side).reshape(side * side, rows, columns)
-    n_before = side * side // 2  # places of a window before its middle
+    windows = _around(s, near, -torch.inf)
+    n_before = len(windows) // 2  # places of a window before its middle
     is_peak = (s > 0) & (windows[:n_before] < s).all(0) & (windows[n_before + 1 :] <= s).all(0)
-    probabilities = torch.softmax(z, 0)
-    objects = []
-    for row, column in is_peak.nonzero().tolist():
-        ys = torch.arange(max(0, row - 1), min(rows, row + 2))
-        xs = torch.arange(max(0, column - 1), min(columns, column + 2))
-        weights = s[ys][:, xs].clamp(min=0)
-        index = int(z[:-1, row, column].argmax())
-        place_x = float((weights.sum(0) * xs).sum() / weights.sum())
-        place_y = float((weights.sum(1) * ys).sum() / weights.sum())
-        probability = float(probabilities[index, row, column])
-        if places is not None:
-            place_x = column + float(places[0, row, column])
-            place_y = row + float(places[1, row, column])
-        width, height = (0.0, 0.0) if sizes is None else sizes[:, row, column].tolist()
-        objects.append(FoundObject(index, probability, place_x, place_y, width, height))
+    rows, columns = is_peak.nonzero().T
+
+    label = z[:-1, rows, columns].argmax(0)
+    probability = torch.softmax(z[:, rows, columns], 0).gather(0, label[None])[0]
+    weights = _around(s.clamp(min=0), 1, 0.0)[:, rows, columns]  # (9, N)
+    down, right = torch.meshgrid(torch.arange(-1, 2), torch.arange(-1, 2), indexing="ij")
+    place_x = (weights * (columns + right.reshape(9, 1))).sum(0) / weights.sum(0)
+    place_y = (weights * (rows + down.reshape(9, 1))).sum(0) / weights.sum(0)
+    if places is not None:
+        place_x, place_y = torch.stack([columns, rows]) + places[:, rows, columns]
+    size = torch.zeros(2, len(rows)) if sizes is None else sizes[:, rows, columns]
+
+    fields = (label, probability, place_x, place_y, *size)
+    found = zip(*(field.tolist() for field in fields), strict=True)
+    objects = [FoundObject(*one) for one in found]
     return sorted(objects, key=lambda found_object: -found_object.probability)
+
+
+def _around(s: torch.Tensor, near: int, border: float) -> torch.Tensor:
+    """The values at and around each place, row by row: ((2 near + 1)^2, R, C) of (R, C).
+
+    border : the value around the map.
+    """
+    side = 2 * near + 1
+    padded = F.pad(s[None, None], [near] * 4, value=border)
+    return F.unfold(padded, side).reshape(side * side, *s.shape)
 
 
 class _KnownObject(NamedTuple):
@@ -234,20 +241,19 @@ class ObjectNumbers:
         sizes : the width and height of their boxes; None: they have none.
         """
         free_objects = [known for known in self.known if time_us - known.time_us <= self.memory_us]
+        if sizes is None:
+            sizes = [(0.0, 0.0)] * len(places)
+        overlaps = self._overlaps(free_objects, places, sizes)
         current_objects = []
-        for rank, (x, y) in enumerate(places):
-            size = (0.0, 0.0) if sizes is None else sizes[rank]
-            candidates = [
-                (known, box_overlap((x, y), size, (known.x, known.y), known.size))
-                for known in free_objects
-                if rank < self.most
-            ]
-            most_overlap = max((overlap for _, overlap in candidates), default=0.0)
-            near = [
-                known
-                for known, overlap in candidates
-                if overlap == most_overlap and (overlap > 0 or self._distance(known, x, y) < 1)
-            ]
+        for rank, ((x, y), size) in enumerate(zip(places, sizes, strict=True)):
+            near: list[_KnownObject] = []
+            if rank < self.most and free_objects:
+                most_overlap = max(overlaps[rank][known.number] for known in free_objects)
+                near = [
+                    known for known in free_objects if overlaps[rank][known.number] == most_overlap
+                ]
+                if most_overlap == 0:
+                    near = [known for known in near if self._distance(known, x, y) < 1]
             number = self.next_number
             if near:
                 nearest = min(near, key=lambda known: self._preference(known, x, y))
@@ -261,6 +267,23 @@ class ObjectNumbers:
         self.known = (current_objects[: self.most] + earlier)[: self.room]
         self.decision += 1
         return [known.number for known in current_objects]
+
+    @staticmethod
+    def _overlaps(
+        known_objects: Sequence[_KnownObject],
+        places: Sequence[tuple[float, float]],
+        sizes: Sequence[tuple[float, float]],
+    ) -> list[dict[int, float]]:
+        """For each object of a decision: number of a known object -> the overlap of their boxes."""
+        known_places = [(known.x, known.y) for known in known_objects]
+        overlaps = box_overlap(
+            _pairs(places)[:, None],
+            _pairs(sizes)[:, None],
+            _pairs(known_places),
+            _pairs([known.size for known in known_objects]),
+        )
+        numbers = [known.number for known in known_objects]
+        return [dict(zip(numbers, of_object, strict=True)) for of_object in overlaps.tolist()]
 
     def _preference(self, known: _KnownObject, x: float, y: float) -> tuple[float, int, int]:
         """A key of a known object: an object at (x, y) takes the number with the lowest key."""
