@@ -1,4 +1,4 @@
-"""`async-tnt train`: train a classifier on folders of recordings, one folder for each class."""
+"""`async-tnt train`: train a model on folders of recordings, one for each class, or on tables."""
 
 from __future__ import annotations
 

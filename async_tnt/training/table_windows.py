@@ -334,8 +334,10 @@ def windows_before(
         while k < len(ends_us) and first_us >= ends_us[k] + window_us:
             yield k, _events_before(held, ends_us[k], window_us)
             k += 1
+        if k == len(ends_us):
+            return
         held.append(packet)
-        begin_us = ends_us[min(k, len(ends_us) - 1)] - window_us
+        begin_us = ends_us[k] - window_us
         held = [one for one in held if one["t"].max() >= begin_us]
     for last in range(k, len(ends_us)):
         yield last, _events_before(held, ends_us[last], window_us)
