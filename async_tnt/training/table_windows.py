@@ -187,7 +187,7 @@ class WindowReader:
         moments = list(self.tables.tables[k].moments())
         times_us = np.array([t for t, _ in moments])
         chosen = spread(times_us, self.window_us // 2, n_most)
-        self.moments_left_out["near others"] += len(moments) - len(chosen)
+        self.moments_left_out["near others, or too many"] += len(moments) - len(chosen)
         ends_us = times_us[chosen].tolist()
         name = self.tables.name_of(path)
         n_before = len(self._boxes)

@@ -24,12 +24,15 @@ pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt import TNTConfig, load_model
 from async_tnt.evaluation.object_tables import find_tables
+from async_tnt.kernels.training.window_batches import PATCH
 from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training import Split, VolumeChoice, dataset_data, fit, settings_for
 from async_tnt.training import table_windows as module
 from async_tnt.training.augment import Augmentation, unchanged
 from async_tnt.training.batches import BatchVolumes
+from async_tnt.training.plan import Plan
 from async_tnt.training.recordings import BOX_DTYPE, Recordings
+from async_tnt.training.run_folder import windows_checksum
 from async_tnt.training.table_scenes import TableScenes, maker_of, more_than_noise
 from async_tnt.training.table_windows import windows_before
 from async_tnt.training.windows import Windows
@@ -148,7 +151,10 @@ def test_what_is_left_out_is_counted(tmp_path, monkeypatch):
         "off the sensor": 1,
         "with too few events": 1,
     }
-    assert data.record["moments_left_out"] == {"near others": 1, "without a box that is left": 1}
+    assert data.record["moments_left_out"] == {
+        "near others, or too many": 1,
+        "without a box that is left": 1,
+    }
     assert data.record["boxes"] + data.record["held_out_boxes"] <= len(rows)
     assert any(line.startswith("boxes left out: 1 without area, 1 off") for line in data.notes)
     # evenly spread, if there are more moments than are wanted
@@ -156,7 +162,7 @@ def test_what_is_left_out_is_counted(tmp_path, monkeypatch):
     few = dataset_data(tmp_path / "a", CHOICE, split=Split(validation=0))
     ends = [int(name.split(" at ")[1].split()[0]) for name in few.training.recordings.names]
     assert ends == [2 * STEP_US, 7 * STEP_US]  # the third one shows nothing
-    assert few.record["moments_left_out"]["near others"] > 5
+    assert few.record["moments_left_out"]["near others, or too many"] > 5
 
 
 def test_a_recording_that_is_damaged_is_noted(tmp_path):
@@ -331,8 +337,8 @@ def test_what_shows_nothing_or_has_too_few_events_is_no_object():
     both = both[np.argsort(both["t"], kind="stable")]
     windows = windows_with_boxes([shown, shown, shown[:5], noise, both], [[(1, *box)]] * 5)
     draws = unchanged(5, CONFIG)
-    draws.content[1] = 1
-    draws.place[1, 2:4] = CONFIG.sensor
+    draws.content[1] = PATCH  # a patch that twinkles, just where the box is
+    draws.place[1] = 15, 12, 10, 8, 0, 0, 0, 0.5
     scenes = TableScenes(CONFIG)(windows, draws, np.random.default_rng(0))
     assert scenes.scene.tolist() == [0, 4]
 
@@ -353,7 +359,14 @@ def test_recordings_with_boxes_are_for_map_models(tmp_path):
     settings = settings_for(data.config, len(data.training), epochs=1)
     with pytest.raises(ValueError, match="`everywhere` must be True for windows whose boxes"):
         fit(data, settings, tmp_path / "run")
+    plan = Plan(CHOICE, epochs=1, everywhere=True, has_tables=True)
+    settings = plan.settings_for(data)
+    assert (settings.network, settings.batch) == ("pyramid", 16)
     made = data.training.recordings
+    other = made.boxes.copy()
+    other["size"][0, 0] += 1  # which makes it another run
+    changed = replace(data.training, recordings=replace(made, boxes=other))
+    assert windows_checksum(changed, changed) != windows_checksum(data.training, data.training)
     with pytest.raises(ValueError, match="recordings with boxes cannot be added"):
         made + made
     with pytest.raises(ValueError, match="`scales` must not be given with tables of boxes"):
