@@ -28,6 +28,7 @@ pictures, which simulated cameras record in many motions, or of both:
   async-tnt train gestures --out gestures.safetensors   # gestures/wave/*.npz ...
   async-tnt train pictures --sensor 640x480             # pictures/cup/*.jpg ...
   async-tnt train gen1 --everywhere                     # recordings with tables of boxes
+  async-tnt train pictures --everywhere --scales 0.08-0.33 --sensor 240x180
   async-tnt evaluate gestures.safetensors other         # on other recordings
   async-tnt run --model gestures.safetensors camera     # use it
   async-tnt teach gestures.safetensors --class point point/*.npz --out more.safetensors
@@ -132,8 +133,9 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
         "--scales",
         type=_range,
         metavar="MIN-MAX",
-        help="with --everywhere: objects of many sizes in scenes of the sensor, measured as by "
-        "--size, in its place (such as 0.08-0.33)",
+        help="with --everywhere, for pictures only: objects of many sizes in scenes of the sensor, "
+        "measured as by --size, in its place. `for_sensor` fits the model to sensors of other "
+        "resolution",
     )
     group.add_argument(
         "--camera",

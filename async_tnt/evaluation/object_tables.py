@@ -101,7 +101,7 @@ class ObjectTable:
 def part_folder(folder: Path, part: str) -> Path:
     """The folder of a part of a data set, such as `folder/test`; without it, `folder` itself.
 
-    Capital letters in the part's name do not matter.
+    Capital letters do not matter: Prophesee's sets and DSEC write it small.
 
     Raises
     ------

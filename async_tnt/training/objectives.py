@@ -15,7 +15,12 @@ import torch
 from torch.nn import functional as F
 
 from async_tnt.base.checks import ParameterValueError
-from async_tnt.evaluation.object_scores import ObjectScores, score_objects
+from async_tnt.evaluation.object_scores import (
+    ObjectScores,
+    by_milliseconds,
+    moments_us,
+    score_objects,
+)
 from async_tnt.evaluation.scores import share_right
 from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.networks.models.model import Model
@@ -145,8 +150,6 @@ REACH = 0.15
 shorter side. The answer must be of the object's class."""
 N_SCENES = 400
 """Number of scenes in which a map model is scored, about."""
-SHARES = (0.3, 0.5)
-"""Moments at which scenes are scored besides a window's end, as shares of the window."""
 
 
 class SceneScores:
@@ -175,8 +178,13 @@ class SceneScores:
         self._within_px = REACH * min(crops.sensor)
         self._has_sizes = scenes is not None
 
-    def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
-        """The scores of a map model when this share of each window has passed."""
+    def after(self, pipeline: Pipeline, until_us: int | None = None) -> ObjectScores:
+        """The scores of a map model at a moment of the windows.
+
+        until_us : the moment, in microseconds since the windows' start; by default their end.
+        """
+        if until_us is None:
+            until_us = self._maker.config.window_us
         rng = np.random.default_rng(1)  # the same scenes at each call
         was_training = pipeline.training
         pipeline.eval()
@@ -185,7 +193,7 @@ class SceneScores:
         for first in range(0, len(self._windows), self._maker.at_once):
             windows = self._windows[first : first + self._maker.at_once]
             draws = unchanged(len(windows), self._maker.crops)
-            draws.until_us[:] = round(share * self._maker.config.window_us)
+            draws.until_us[:] = until_us
             scenes = self._maker(windows, draws, rng)
             with torch.no_grad():
                 maps = pipeline.classify(torch.from_numpy(scenes.volumes)).cpu().numpy()
@@ -208,12 +216,13 @@ class SceneScores:
 
     def evaluate(self, pipeline: Pipeline) -> dict[str, Any]:
         """Score a map model at the windows' ends and before. Returns plain values, for JSON."""
-        at_end = self.after(pipeline, 1.0)
-        window_ms = self._maker.config.window_us / 1e3
-        early_f1 = {}
-        for share in SHARES:
-            early_f1[f"{share * window_ms:g}"] = round(self.after(pipeline, share).f1, 5)
-        return {**at_end.to_dict(self._classes), "f1_against_time_ms": early_f1}
+        *early_us, _ = moments_us(self._maker.config.window_us)
+        at_end = self.after(pipeline)
+        early_f1 = {us: round(self.after(pipeline, us).f1, 5) for us in early_us}
+        return {
+            **at_end.to_dict(self._classes),
+            "f1_against_time_ms": by_milliseconds(early_f1),
+        }
 
 
 def _extents(size: np.ndarray) -> np.ndarray:
@@ -403,4 +412,4 @@ class ObjectsInScenes:
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
         """F1 in held-out scenes, for the history; empty if nothing is held out."""
-        return {} if self._scorer is None else {"f1": self._scorer.after(pipeline, 1.0).f1}
+        return {} if self._scorer is None else {"f1": self._scorer.after(pipeline).f1}
