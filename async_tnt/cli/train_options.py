@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=user_path,
         metavar="DATASET",
         help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...), "
-        "or recordings with tables of boxes",
+        "or recordings with tables",
     )
     parser.add_argument(
         "--sensor",
