@@ -27,6 +27,7 @@ pictures, which simulated cameras record in many motions, or of both:
 
   async-tnt train gestures --out gestures.safetensors   # gestures/wave/*.npz ...
   async-tnt train pictures --sensor 640x480             # pictures/cup/*.jpg ...
+  async-tnt train gen1 --everywhere                     # recordings with tables of boxes
   async-tnt train pictures --everywhere --scales 0.08-0.33 --sensor 240x180
   async-tnt evaluate gestures.safetensors other         # on other recordings
   async-tnt run --model gestures.safetensors camera     # use it
@@ -55,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "dataset",
         type=user_path,
         metavar="DATASET",
-        help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...)",
+        help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...), "
+        "or recordings with tables",
     )
     parser.add_argument(
         "--sensor",
@@ -174,7 +176,8 @@ def _add_network(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--everywhere",
         action="store_true",
-        help="a model that finds objects anywhere; it learns from scenes of several recordings",
+        help="a model that finds objects anywhere; it learns from scenes of several recordings, "
+        "or from tables of boxes",
     )
     group.add_argument(
         "--network",

@@ -26,11 +26,12 @@ from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import ObjectReader, n_of_boxes, new_tracks
 from async_tnt.training.augment import Draws, on_pixels, unchanged
-from async_tnt.training.evaluation import BATCH, class_probabilities, confusion_by_recording
+from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.networks import build_network
 from async_tnt.training.pipeline import Pipeline, pipeline_of
-from async_tnt.training.scenes import OF_RECORDING, SceneMaker, Scenes
+from async_tnt.training.scenes import OF_RECORDING, Scenes
 from async_tnt.training.settings import TrainSettings
+from async_tnt.training.table_scenes import maker_of
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
@@ -160,7 +161,7 @@ class SceneScores:
     model : a map model for scenes of these recordings. Its weights are not used.
     windows : the objects of the scenes. About `N_SCENES` scenes are made of them, or fewer if there
         are too few windows.
-    scenes : see `SceneMaker`. With it, an object is found within `REACH` of its own extent.
+    scenes : see `maker_of`. With it, an object is found within `REACH` of its own extent.
     """
 
     def __init__(
@@ -168,10 +169,10 @@ class SceneScores:
     ) -> None:
         assert model.places is not None
         self._classes = model.classes
-        self._maker = SceneMaker(crops, scenes)
+        self._maker = maker_of(crops, scenes, windows)
         self._reader = ObjectReader(model.logits_shape, len(model.classes))
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
-        n_windows = round(N_SCENES * self._maker.n_objects)
+        n_windows = round(N_SCENES * self._maker.n_windows)
         chosen = np.random.default_rng(0).permutation(len(windows))[:n_windows]
         self._windows = windows[chosen]
         self._within_px = REACH * min(crops.sensor)
@@ -189,8 +190,8 @@ class SceneScores:
         pipeline.eval()
         n_classes = len(self._classes)
         scores = ObjectScores(*np.zeros((3, n_classes), np.int64))
-        for first in range(0, len(self._windows), BATCH):
-            windows = self._windows[first : first + BATCH]
+        for first in range(0, len(self._windows), self._maker.at_once):
+            windows = self._windows[first : first + self._maker.at_once]
             draws = unchanged(len(windows), self._maker.crops)
             draws.until_us[:] = until_us
             scenes = self._maker(windows, draws, rng)
@@ -279,11 +280,11 @@ class ObjectsInScenes:
     settings : how the model is trained.
     classes : names, one for each label from 0 on.
     scenes : how the events of scenes become volumes, if their objects have many sizes, see
-        `SceneMaker`.
+        `maker_of`.
 
     Raises
     ------
-    ValueError : as `SceneMaker`; the network of `settings` computes no map.
+    ValueError : as `check_volume`; the network of `settings` computes no map.
     """
 
     def __init__(
@@ -294,7 +295,7 @@ class ObjectsInScenes:
         classes: tuple[str, ...],
         scenes: TNTConfig | None = None,
     ) -> None:
-        self._maker = SceneMaker(config, scenes)
+        self._maker = maker_of(config, scenes, validation)
         self.config = self._maker.config
         with torch.random.fork_rng(devices=[]):
             network = build_network(
