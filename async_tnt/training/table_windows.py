@@ -327,24 +327,36 @@ def windows_before(
     ends_us : the times before which windows end, increasing.
     window_us : length of a window.
     """
-    held: list[np.ndarray] = []
+    # the packets of window k or later ones, each with the time of its latest event
+    held: list[tuple[np.ndarray, int]] = []
     k = 0
     for packet in packets:
         first_us = packet["t"].min()
+        n_before = k
         while k < len(ends_us) and first_us >= ends_us[k] + window_us:
             yield k, _events_before(held, ends_us[k], window_us)
             k += 1
         if k == len(ends_us):
             return
-        held.append(packet)
         begin_us = ends_us[k] - window_us
-        held = [one for one in held if one["t"].max() >= begin_us]
+        # not at each packet, of which a window of a large sensor has thousands
+        if k > n_before:
+            held = [(one, last_us) for one, last_us in held if last_us >= begin_us]
+        last_us = packet["t"].max()
+        if last_us >= begin_us:
+            held.append((packet, last_us))
     for last in range(k, len(ends_us)):
         yield last, _events_before(held, ends_us[last], window_us)
 
 
-def _events_before(packets: Sequence[np.ndarray], end_us: int, window_us: int) -> np.ndarray:
-    """The events of a window, sorted by time. Times count from its start."""
+def _events_before(
+    held: Sequence[tuple[np.ndarray, int]], end_us: int, window_us: int
+) -> np.ndarray:
+    """The events of a window, sorted by time. Times count from its start.
+
+    held : packets, each with the time of its latest event.
+    """
+    packets = [packet for packet, last_us in held if last_us >= end_us - window_us]
     events = np.concatenate([np.empty(0, EVENT_DTYPE), *packets])
     events = events[(events["t"] >= end_us - window_us) & (events["t"] < end_us)]
     events["t"] -= end_us - window_us

@@ -99,6 +99,23 @@ def test_only_packets_of_windows_that_are_not_complete_are_held():
     assert max(held) < 15
 
 
+def test_a_packet_is_searched_a_few_times_however_many_are_held():
+    """Not once for each of the packets that are held after it: a window may have thousands."""
+    n_reads = 0
+
+    class Counted(np.ndarray):
+        def __getitem__(self, key):
+            nonlocal n_reads
+            n_reads += 1
+            return super().__getitem__(key)
+
+    t = np.arange(30_000)
+    packets = np.split(events_of(t, t % 9, t % 9, t % 2).view(Counted), 300)
+    found = dict(windows_before(packets, [12_000, 25_000], 10_000))
+    assert [len(events) for events in found.values()] == [10_000, 10_000]
+    assert n_reads < 6 * len(packets)
+
+
 def test_all_tables_of_the_same_boxes_give_the_same_windows(tmp_path):
     pytest.importorskip("h5py", reason="needs the extra `files`")
     made = [recording((3, k)) for k in range(3)]
