@@ -23,7 +23,7 @@ import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.evaluation.object_tables import ObjectTable, class_names, find_tables, read_table
-from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.training.recordings import BOX_DTYPE, Recordings, RecordingsWriter
 from async_tnt.training.table_scenes import fewest_events, more_than_noise
@@ -76,11 +76,15 @@ class Tables:
         """Refuse a folder of which nothing is left to learn from."""
         if n_left:
             return
+        raise ValueError(f"{self.folder}: no recording is left{self.why_left_out()}")
+
+    def why_left_out(self) -> str:
+        """The first recording that is left out, for the end of a message; empty if none is."""
+        if not self.left_out:
+            return ""
         further = len(self.left_out) - 1
         more = f"; and {further} more" if further else ""
-        raise ValueError(
-            f"{self.folder}: no recording is left (left out: {self.left_out[0]}{more})"
-        )
+        return f" (left out: {self.left_out[0]}{more})"
 
 
 def read_tables(folder: Path) -> Tables:
@@ -131,6 +135,20 @@ class _LeftOut(Exception):
     """Raised for a recording that is left out, or not read any further. The message says why."""
 
 
+@contextlib.contextmanager
+def _leaving_out() -> Iterator[None]:
+    """A context in which the error of a recording that cannot be read is a `_LeftOut`.
+
+    One recording must not end the reading of all. Events off the sensor are such an error, too.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise _LeftOut(error.strerror) from None
+    except ValueError as error:
+        raise _LeftOut(error) from None
+
+
 @dataclass
 class WindowReader:
     """Reads the windows of recordings that end at the moments of their tables.
@@ -145,6 +163,8 @@ class WindowReader:
     Attributes
     ----------
     boxes_left_out, moments_left_out : why boxes and moments are left out -> how many.
+    n_off_sensor : how many events were left out because they lie off the sensor, of those from the
+        first to the last window of each recording that is not damaged.
     """
 
     tables: Tables
@@ -153,6 +173,7 @@ class WindowReader:
     options: ReadOptions
     boxes_left_out: Counter[str] = field(default_factory=Counter)
     moments_left_out: Counter[str] = field(default_factory=Counter)
+    n_off_sensor: int = 0
     _boxes: list[np.ndarray] = field(default_factory=list)
 
     def read(self, work: Work) -> tuple[Recordings, np.ndarray]:
@@ -218,35 +239,33 @@ class WindowReader:
         _LeftOut : the recording cannot be read any further.
         ParameterValueError : it is of another sensor than the others.
         """
-        try:
-            packets = self._open(path, ends_us[0], ends_us[-1])
-            yield from windows_before(packets, ends_us, self.window_us)
-        except ParameterValueError:
-            raise
-        except OSError as error:
-            raise _LeftOut(error.strerror) from None
-        except ValueError as error:
-            raise _LeftOut(error) from None
+        with _leaving_out():
+            recording = self._open(path, ends_us[0], ends_us[-1])
+        self._check_sensor(path, recording.stated_sensor)
+        with _leaving_out():
+            yield from windows_before(recording, ends_us, self.window_us)
+            self.n_off_sensor += recording.counts.off_sensor
 
-    def _open(self, path: Path, first_us: int, last_us: int) -> Iterable[np.ndarray]:
-        """The packets of a recording that its windows need.
+    def _open(self, path: Path, first_us: int, last_us: int) -> Recording:
+        """The part of a recording that its windows need.
 
         first_us, last_us : the end of the first and of the last window.
         """
         begin_us = max(0, first_us - self.window_us)
-        recording = open_recording(
+        return open_recording(
             path,
             strict=True,
             between_us=(begin_us, max(begin_us + 1, last_us)),
             off_sensor="count",
             **asdict(replace(self.options, sensor=self.camera)),
         )
-        stated = recording.stated_sensor
+
+    def _check_sensor(self, path: Path, stated: Sensor | None) -> None:
+        """Refuse a recording that states another sensor than that of all recordings."""
         if stated is not None and tuple(stated) != self.camera:
             rule = f"must be that of all recordings, got {format_size(stated)} ("
             rule += f"{self.tables.name_of(path)})"
             raise ParameterValueError("sensor", rule, format_size(self.camera))
-        return recording
 
     def _boxes_of(self, k: int, rows: slice, events: np.ndarray) -> np.ndarray:
         """The boxes of a moment that count, as those of the next window. Counts the others.

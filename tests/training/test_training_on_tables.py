@@ -214,6 +214,23 @@ def test_a_recording_that_is_damaged_is_noted(tmp_path):
     assert not any(str(tmp_path) in line for line in data.left_out)
 
 
+def test_a_recording_with_many_events_off_the_sensor_is_noted_and_few_are_counted(tmp_path):
+    """As in class folders, one damaged recording does not end the reading of the others."""
+    write_set(tmp_path / "a", 3)
+    events, rows = recording(9)
+    off = events.copy()
+    off["x"] += 100
+    write_csv(tmp_path / "a", "w", off, rows)
+    few = events.copy()
+    few["x"][len(few) // 2 : len(few) // 2 + 7] = 100
+    write_csv(tmp_path / "a", "x", few, rows)
+    data = dataset_data(tmp_path / "a", CHOICE)
+    (line,) = data.left_out
+    assert line.startswith("w.npz: ") and "the recording is of another sensor, or damaged" in line
+    assert data.record["left_out_off_sensor"] == 7
+    assert "events left out: 7 off the sensor" in data.notes
+
+
 # -- what is held out ------------------------------------------------------------------------------
 
 
@@ -246,6 +263,24 @@ def test_of_a_single_recording_the_last_moments_are_held_out(tmp_path):
     assert len(held_out) == 6 and max(learned) <= min(held_out) - STEP_US
     assert data.record["held_out_in_time"] == list(CLASSES)
     assert any("held out in time" in line for line in data.notes)
+
+
+def test_a_class_without_a_box_to_learn_from_is_refused_with_the_reason(tmp_path):
+    events, rows = recording(5, n_steps=30)
+    last = [row._replace(name="late") if row.t > 28 * STEP_US else row for row in rows]
+    write_csv(tmp_path / "a", "one", events, last)
+    rule = "`validation` must leave boxes of each class to learn from: all boxes of class late"
+    with pytest.raises(ValueError, match=f"{rule} .*got 0.2"):
+        dataset_data(tmp_path / "a", CHOICE)
+    data = dataset_data(tmp_path / "a", CHOICE, split=Split(validation=0))
+    assert data.classes == (*CLASSES, "late")
+    # or it is in a recording that is left out
+    write_csv(tmp_path / "a", "one", events, rows)
+    ghost = rows[0]._replace(name="ghost")
+    write_csv(tmp_path / "a", "two", events, [ghost, ghost._replace(x="nan")])
+    reason = r"no box of class ghost is left .* \(left out: two.npz: two_objects.csv: x, y, w and h"
+    with pytest.raises(ValueError, match=reason):
+        dataset_data(tmp_path / "a", CHOICE)
 
 
 # -- scenes ----------------------------------------------------------------------------------------
