@@ -234,6 +234,8 @@ def _description(reader: WindowReader, sides: _Sides) -> dict[str, Any]:
     }
     if reader.n_off_sensor:
         record["left_out_off_sensor"] = reader.n_off_sensor
+    if reader.n_late:
+        record["late_events"] = reader.n_late
     if sides.in_time:
         record["held_out_in_time"] = list(classes)
     return record
@@ -254,6 +256,11 @@ def _notes(record: dict[str, Any], sides: _Sides) -> tuple[str, ...]:
             notes.append(f"{what} left out: {text}")
     if "left_out_off_sensor" in record:
         notes.append(f"events left out: {record['left_out_off_sensor']:,} off the sensor")
+    if "late_events" in record:
+        notes.append(
+            f"events more than a window later than newer ones: {record['late_events']:,}; they may "
+            "be missing, so sort the recordings by time"
+        )
     if sides.in_time:
         notes.append(
             "held out in time, as there is only one recording, or one group of them: its last "

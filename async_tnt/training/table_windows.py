@@ -165,6 +165,8 @@ class WindowReader:
     boxes_left_out, moments_left_out : why boxes and moments are left out -> how many.
     n_off_sensor : how many events were left out because they lie off the sensor, of those from the
         first to the last window of each recording that is not damaged.
+    n_late : how many events come more than a window's length after a newer one. They may be missing
+        in their windows, see `windows_before`.
     """
 
     tables: Tables
@@ -174,6 +176,7 @@ class WindowReader:
     boxes_left_out: Counter[str] = field(default_factory=Counter)
     moments_left_out: Counter[str] = field(default_factory=Counter)
     n_off_sensor: int = 0
+    n_late: int = 0
     _boxes: list[np.ndarray] = field(default_factory=list)
 
     def read(self, work: Work) -> tuple[Recordings, np.ndarray]:
@@ -243,8 +246,16 @@ class WindowReader:
             recording = self._open(path, ends_us[0], ends_us[-1])
         self._check_sensor(path, recording.stated_sensor)
         with _leaving_out():
-            yield from windows_before(recording, ends_us, self.window_us)
+            yield from windows_before(self._counting_late(recording), ends_us, self.window_us)
             self.n_off_sensor += recording.counts.off_sensor
+
+    def _counting_late(self, packets: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """Yield the packets of a recording, and count their events in `n_late`."""
+        newest_us = 0
+        for packet in packets:
+            self.n_late += int((packet["t"] < newest_us - self.window_us).sum())
+            newest_us = max(newest_us, int(packet["t"].max()))
+            yield packet
 
     def _open(self, path: Path, first_us: int, last_us: int) -> Recording:
         """The part of a recording that its windows need.

@@ -231,6 +231,20 @@ def test_a_recording_with_many_events_off_the_sensor_is_noted_and_few_are_counte
     assert "events left out: 7 off the sensor" in data.notes
 
 
+def test_events_that_come_late_are_noted(tmp_path):
+    """Within a window's length they are in their windows. Later ones may not be."""
+    events, rows = recording(5)
+    blocks = np.array_split(events, 24)  # half a window each
+    swapped = np.concatenate([blocks[k ^ 1] for k in range(24)])
+    write_csv(tmp_path / "a", "r", swapped, rows)
+    write_csv(tmp_path / "b", "r", events, rows)
+    write_csv(tmp_path / "c", "r", events[::-1], rows)
+    late, ordered, reversed_ = [dataset_data(tmp_path / name, CHOICE) for name in "abc"]
+    assert late.record == ordered.record and "late_events" not in late.record
+    assert reversed_.record["late_events"] > len(events) / 2
+    assert any("so sort the recordings by time" in line for line in reversed_.notes)
+
+
 # -- what is held out ------------------------------------------------------------------------------
 
 
