@@ -110,9 +110,17 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         say(json.dumps(report))
     else:
         say(*_lines(report))
+    _complain(args.dataset, totals, report)
+    return 2 if totals.skipped and args.strict else 0
+
+
+def _complain(folder: Path, totals: _Totals, report: dict[str, Any]) -> None:
+    """Say what does not count, is left out or cannot be read."""
     if totals.unknown:
         counts = ", ".join(f"{name} ({n})" for name, n in sorted(totals.unknown.items()))
         complain(f"objects of classes that the model does not know do not count: {counts}")
+    if not report["objects"]:
+        complain(f"{folder}: no object of the tables counts, so the scores say nothing")
     if totals.n_off_sensor:
         complain(
             f"objects whose middle is off the sensor cannot be found: {totals.n_off_sensor}; is "
@@ -120,7 +128,6 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         )
     for line in totals.skipped:
         complain(f"skipped: {line}")
-    return 2 if totals.skipped and args.strict else 0
 
 
 def _score(
@@ -172,15 +179,20 @@ def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, An
 def _box_scores(totals: _Totals, model: Model) -> dict[str, Any]:
     """COCO's scores at each of `moments_us`, and why there are none, if there are none."""
     if not totals.boxes:
-        return {"coco": None, "no_coco": "the model says no sizes"}
+        return _no_coco("the model says no sizes")
     at_end = model.config.window_us
     if not totals.boxes[at_end].n_present:
-        return {"coco": None, "no_coco": "the tables have no boxes that count"}
+        return _no_coco("the tables have no boxes that count")
     try:
         scores_of = {moment: boxes.scores(model.classes) for moment, boxes in totals.boxes.items()}
     except ImportError as error:
-        return {"coco": None, "no_coco": str(error)}
+        return _no_coco(str(error))
     return {"coco": scores_of[at_end], "coco_against_time_ms": by_milliseconds(scores_of)}
+
+
+def _no_coco(reason: str) -> dict[str, Any]:
+    """What the report says of COCO's scores if there are none."""
+    return {"coco": None, "coco_against_time_ms": None, "no_coco": reason}
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

@@ -202,25 +202,27 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     ValueError : the table is damaged, lacks a column, or has no row of these classes.
     """
     rows = _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
+    if not len(rows.t):
+        raise ValueError(f"{path}: no object: the table has no rows")
     index_of = {name: k for k, name in enumerate(classes)}
     label = np.array([index_of.get(name, -1) for name in rows.names], np.int64)
     unknown_classes, row_counts = np.unique(rows.names[label < 0], return_counts=True)
     indices = np.flatnonzero(label >= 0)
     if not len(indices):
         raise ValueError(f"{path}: no object of the model's classes, {', '.join(classes)}")
-    is_finite = np.isfinite([rows.corner[indices], rows.size[indices]]).all()
+    with np.errstate(over="ignore"):  # of numbers near the largest one, which are refused below
+        middles = rows.corner + rows.size / 2
+    is_finite = np.isfinite([rows.corner[indices], rows.size[indices], middles[indices]]).all()
     if not is_finite or rows.size[indices].min() < 0 or rows.t[indices].min() < 0:
         raise ValueError(f"{path}: x, y, w and h must be finite, w, h and t at least 0")
 
     indices = indices[np.argsort(rows.t[indices], kind="stable")]
-    corner = rows.corner[indices]
     size = rows.size[indices]
     is_point = (size == 0).all(1, keepdims=True)
     # a box reaches half a pixel at least
     reach = np.where(is_point, POINT_REACH_PX, np.maximum(size / 2, 0.5))
     n_rows_of = {str(name): int(n) for name, n in zip(unknown_classes, row_counts, strict=True)}
-    middle = corner + size / 2
-    return ObjectTable(rows.t[indices], label[indices], middle, reach, size, n_rows_of)
+    return ObjectTable(rows.t[indices], label[indices], middles[indices], reach, size, n_rows_of)
 
 
 def class_names(tables: Sequence[Path]) -> tuple[str, ...]:
@@ -316,9 +318,11 @@ def _microseconds(text: str) -> int:
 
 
 def _class_name(text: str | None) -> str:
-    """Read the name of a class. A missing name raises a TypeError."""
+    """Read the name of a class. A missing name raises a TypeError, a blank one a ValueError."""
     if text is None:
         raise TypeError
+    if not text.strip():
+        raise ValueError
     return text
 
 

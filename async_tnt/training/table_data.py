@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.evaluation.object_tables import TRACKS, part_folder
 from async_tnt.simulation.pictures import SUFFIXES
 from async_tnt.sources.files.labelled_recordings import is_recording
@@ -22,7 +23,13 @@ from async_tnt.training.held_out import Split
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.scenes import Scales
 from async_tnt.training.settings import with_bins
-from async_tnt.training.table_windows import PART, WindowReader, read_tables, stated_sensor
+from async_tnt.training.table_windows import (
+    PART,
+    Tables,
+    WindowReader,
+    read_tables,
+    stated_sensor,
+)
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.volume_choice import VolumeChoice
 from async_tnt.training.windows import Windows
@@ -70,7 +77,7 @@ def table_data(
     reader = WindowReader(tables, camera, config.window_us, reading)
     recordings, files = reader.read(work)
     sides = _divide(recordings, files, split)
-    _check_no_class_empty(sides.training, tables.classes)
+    _check_no_class_empty(sides.training, tables, split.validation)
 
     assert recordings.boxes is not None
     shares = recordings.boxes["size"].max(axis=1) / min(camera)
@@ -178,15 +185,32 @@ def _boxes_of_classes(windows: Windows, n_classes: int) -> np.ndarray:
     return np.bincount(boxes["label"], minlength=n_classes)
 
 
-def _check_no_class_empty(training: Windows, classes: tuple[str, ...]) -> None:
-    """Refuse a class of which no box is left to learn from."""
-    counts = _boxes_of_classes(training, len(classes)).tolist()
-    empty = [name for name, n in zip(classes, counts, strict=True) if n == 0]
-    if empty:
+def _check_no_class_empty(training: Windows, tables: Tables, share: float) -> None:
+    """Refuse a class of which no box is left to learn from.
+
+    share : the share of each class to hold out.
+    """
+    n_classes = len(tables.classes)
+    learned = _boxes_of_classes(training, n_classes)
+    if learned.all():
+        return
+    assert training.recordings.boxes is not None
+    read = np.bincount(training.recordings.boxes["label"], minlength=n_classes)
+    gone = [tables.classes[k] for k in np.flatnonzero(read == 0)]
+    if gone:
         raise ValueError(
-            f"no box of class {', '.join(empty)} is left to learn from: none has enough events; "
-            "record more, or remove its rows from the tables"
+            f"no box of class {', '.join(gone)} is left to learn from: none has enough events in "
+            f"a recording that can be read{tables.why_left_out()}; record more, or remove its "
+            "rows from the tables"
         )
+    late = [tables.classes[k] for k in np.flatnonzero(learned == 0)]
+    raise ParameterValueError(
+        "validation",
+        "must leave boxes of each class to learn from: all boxes of class "
+        f"{', '.join(late)} are in the last moments of the only recording or group; hold out less, "
+        "or 0",
+        share,
+    )
 
 
 def _description(reader: WindowReader, sides: _Sides) -> dict[str, Any]:
@@ -208,6 +232,10 @@ def _description(reader: WindowReader, sides: _Sides) -> dict[str, Any]:
         "moments_left_out": {why: n for why, n in reader.moments_left_out.items() if n},
         "left_out": reader.tables.left_out,
     }
+    if reader.n_off_sensor:
+        record["left_out_off_sensor"] = reader.n_off_sensor
+    if reader.n_late:
+        record["late_events"] = reader.n_late
     if sides.in_time:
         record["held_out_in_time"] = list(classes)
     return record
@@ -226,6 +254,13 @@ def _notes(record: dict[str, Any], sides: _Sides) -> tuple[str, ...]:
         if reasons:
             text = ", ".join(f"{n} {why}" for why, n in reasons.items())
             notes.append(f"{what} left out: {text}")
+    if "left_out_off_sensor" in record:
+        notes.append(f"events left out: {record['left_out_off_sensor']:,} off the sensor")
+    if "late_events" in record:
+        notes.append(
+            f"events more than a window later than newer ones: {record['late_events']:,}; they may "
+            "be missing, so sort the recordings by time"
+        )
     if sides.in_time:
         notes.append(
             "held out in time, as there is only one recording, or one group of them: its last "

@@ -23,7 +23,7 @@ import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.evaluation.object_tables import ObjectTable, class_names, find_tables, read_table
-from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.training.recordings import BOX_DTYPE, Recordings, RecordingsWriter
 from async_tnt.training.table_scenes import fewest_events, more_than_noise
@@ -76,11 +76,15 @@ class Tables:
         """Refuse a folder of which nothing is left to learn from."""
         if n_left:
             return
+        raise ValueError(f"{self.folder}: no recording is left{self.why_left_out()}")
+
+    def why_left_out(self) -> str:
+        """The first recording that is left out, for the end of a message; empty if none is."""
+        if not self.left_out:
+            return ""
         further = len(self.left_out) - 1
         more = f"; and {further} more" if further else ""
-        raise ValueError(
-            f"{self.folder}: no recording is left (left out: {self.left_out[0]}{more})"
-        )
+        return f" (left out: {self.left_out[0]}{more})"
 
 
 def read_tables(folder: Path) -> Tables:
@@ -131,6 +135,20 @@ class _LeftOut(Exception):
     """Raised for a recording that is left out, or not read any further. The message says why."""
 
 
+@contextlib.contextmanager
+def _leaving_out() -> Iterator[None]:
+    """A context in which the error of a recording that cannot be read is a `_LeftOut`.
+
+    One recording must not end the reading of all. Events off the sensor are such an error, too.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise _LeftOut(error.strerror) from None
+    except ValueError as error:
+        raise _LeftOut(error) from None
+
+
 @dataclass
 class WindowReader:
     """Reads the windows of recordings that end at the moments of their tables.
@@ -145,6 +163,10 @@ class WindowReader:
     Attributes
     ----------
     boxes_left_out, moments_left_out : why boxes and moments are left out -> how many.
+    n_off_sensor : how many events were left out because they lie off the sensor, of those from the
+        first to the last window of each recording that is not damaged.
+    n_late : how many events come more than a window's length after a newer one. They may be missing
+        in their windows, see `windows_before`.
     """
 
     tables: Tables
@@ -153,6 +175,8 @@ class WindowReader:
     options: ReadOptions
     boxes_left_out: Counter[str] = field(default_factory=Counter)
     moments_left_out: Counter[str] = field(default_factory=Counter)
+    n_off_sensor: int = 0
+    n_late: int = 0
     _boxes: list[np.ndarray] = field(default_factory=list)
 
     def read(self, work: Work) -> tuple[Recordings, np.ndarray]:
@@ -218,35 +242,41 @@ class WindowReader:
         _LeftOut : the recording cannot be read any further.
         ParameterValueError : it is of another sensor than the others.
         """
-        try:
-            packets = self._open(path, ends_us[0], ends_us[-1])
-            yield from windows_before(packets, ends_us, self.window_us)
-        except ParameterValueError:
-            raise
-        except OSError as error:
-            raise _LeftOut(error.strerror) from None
-        except ValueError as error:
-            raise _LeftOut(error) from None
+        with _leaving_out():
+            recording = self._open(path, ends_us[0], ends_us[-1])
+        self._check_sensor(path, recording.stated_sensor)
+        with _leaving_out():
+            yield from windows_before(self._counting_late(recording), ends_us, self.window_us)
+            self.n_off_sensor += recording.counts.off_sensor
 
-    def _open(self, path: Path, first_us: int, last_us: int) -> Iterable[np.ndarray]:
-        """The packets of a recording that its windows need.
+    def _counting_late(self, packets: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """Yield the packets of a recording, and count their events in `n_late`."""
+        newest_us = 0
+        for packet in packets:
+            self.n_late += int((packet["t"] < newest_us - self.window_us).sum())
+            newest_us = max(newest_us, int(packet["t"].max()))
+            yield packet
+
+    def _open(self, path: Path, first_us: int, last_us: int) -> Recording:
+        """The part of a recording that its windows need.
 
         first_us, last_us : the end of the first and of the last window.
         """
         begin_us = max(0, first_us - self.window_us)
-        recording = open_recording(
+        return open_recording(
             path,
             strict=True,
             between_us=(begin_us, max(begin_us + 1, last_us)),
             off_sensor="count",
             **asdict(replace(self.options, sensor=self.camera)),
         )
-        stated = recording.stated_sensor
+
+    def _check_sensor(self, path: Path, stated: Sensor | None) -> None:
+        """Refuse a recording that states another sensor than that of all recordings."""
         if stated is not None and tuple(stated) != self.camera:
             rule = f"must be that of all recordings, got {format_size(stated)} ("
             rule += f"{self.tables.name_of(path)})"
             raise ParameterValueError("sensor", rule, format_size(self.camera))
-        return recording
 
     def _boxes_of(self, k: int, rows: slice, events: np.ndarray) -> np.ndarray:
         """The boxes of a moment that count, as those of the next window. Counts the others.
@@ -327,24 +357,36 @@ def windows_before(
     ends_us : the times before which windows end, increasing.
     window_us : length of a window.
     """
-    held: list[np.ndarray] = []
+    # the packets of window k or later ones, each with the time of its latest event
+    held: list[tuple[np.ndarray, int]] = []
     k = 0
     for packet in packets:
         first_us = packet["t"].min()
+        n_before = k
         while k < len(ends_us) and first_us >= ends_us[k] + window_us:
             yield k, _events_before(held, ends_us[k], window_us)
             k += 1
         if k == len(ends_us):
             return
-        held.append(packet)
         begin_us = ends_us[k] - window_us
-        held = [one for one in held if one["t"].max() >= begin_us]
+        # not at each packet, of which a window of a large sensor has thousands
+        if k > n_before:
+            held = [(one, last_us) for one, last_us in held if last_us >= begin_us]
+        last_us = packet["t"].max()
+        if last_us >= begin_us:
+            held.append((packet, last_us))
     for last in range(k, len(ends_us)):
         yield last, _events_before(held, ends_us[last], window_us)
 
 
-def _events_before(packets: Sequence[np.ndarray], end_us: int, window_us: int) -> np.ndarray:
-    """The events of a window, sorted by time. Times count from its start."""
+def _events_before(
+    held: Sequence[tuple[np.ndarray, int]], end_us: int, window_us: int
+) -> np.ndarray:
+    """The events of a window, sorted by time. Times count from its start.
+
+    held : packets, each with the time of its latest event.
+    """
+    packets = [packet for packet, last_us in held if last_us >= end_us - window_us]
     events = np.concatenate([np.empty(0, EVENT_DTYPE), *packets])
     events = events[(events["t"] >= end_us - window_us) & (events["t"] < end_us)]
     events["t"] -= end_us - window_us

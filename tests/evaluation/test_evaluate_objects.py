@@ -228,6 +228,13 @@ def test_what_is_wrong_is_said(folder, saved, program):
     assert "a row ends before its class" in error()
     write_points(folder / "a_td_objects.csv", [(6000, "cat", 5, 5)])
     assert "no object of the model's classes, on, off" in error()
+    write_points(folder / "a_td_objects.csv", [(6000, " ", 5, 5)])
+    assert "numbers, each with a class: got ''" in error()
+    write_points(folder / "a_td_objects.csv", [])
+    assert "the table has no rows" in error()
+    far = (6000, "on", 1.7e308, 5, 1.7e308, 5)  # whose middle is infinite
+    write_points(folder / "a_td_objects.csv", [far], "t,class,x,y,w,h")
+    assert "must be finite" in error()
     write_points(folder / "a_td_objects.csv", [(5, "on", 5, 5)])
     assert "no event in the 1000 us before any time in its table, 5 to 5" in error()
     write_points(folder / "a_td_objects.csv")

@@ -99,6 +99,23 @@ def test_only_packets_of_windows_that_are_not_complete_are_held():
     assert max(held) < 15
 
 
+def test_a_packet_is_searched_a_few_times_however_many_are_held():
+    """Not once for each of the packets that are held after it: a window may have thousands."""
+    n_reads = 0
+
+    class Counted(np.ndarray):
+        def __getitem__(self, key):
+            nonlocal n_reads
+            n_reads += 1
+            return super().__getitem__(key)
+
+    t = np.arange(30_000)
+    packets = np.split(events_of(t, t % 9, t % 9, t % 2).view(Counted), 300)
+    found = dict(windows_before(packets, [12_000, 25_000], 10_000))
+    assert [len(events) for events in found.values()] == [10_000, 10_000]
+    assert n_reads < 6 * len(packets)
+
+
 def test_all_tables_of_the_same_boxes_give_the_same_windows(tmp_path):
     pytest.importorskip("h5py", reason="needs the extra `files`")
     made = [recording((3, k)) for k in range(3)]
@@ -197,6 +214,37 @@ def test_a_recording_that_is_damaged_is_noted(tmp_path):
     assert not any(str(tmp_path) in line for line in data.left_out)
 
 
+def test_a_recording_with_many_events_off_the_sensor_is_noted_and_few_are_counted(tmp_path):
+    """As in class folders, one damaged recording does not end the reading of the others."""
+    write_set(tmp_path / "a", 3)
+    events, rows = recording(9)
+    off = events.copy()
+    off["x"] += 100
+    write_csv(tmp_path / "a", "w", off, rows)
+    few = events.copy()
+    few["x"][len(few) // 2 : len(few) // 2 + 7] = 100
+    write_csv(tmp_path / "a", "x", few, rows)
+    data = dataset_data(tmp_path / "a", CHOICE)
+    (line,) = data.left_out
+    assert line.startswith("w.npz: ") and "the recording is of another sensor, or damaged" in line
+    assert data.record["left_out_off_sensor"] == 7
+    assert "events left out: 7 off the sensor" in data.notes
+
+
+def test_events_that_come_late_are_noted(tmp_path):
+    """Within a window's length they are in their windows. Later ones may not be."""
+    events, rows = recording(5)
+    blocks = np.array_split(events, 24)  # half a window each
+    swapped = np.concatenate([blocks[k ^ 1] for k in range(24)])
+    write_csv(tmp_path / "a", "r", swapped, rows)
+    write_csv(tmp_path / "b", "r", events, rows)
+    write_csv(tmp_path / "c", "r", events[::-1], rows)
+    late, ordered, reversed_ = [dataset_data(tmp_path / name, CHOICE) for name in "abc"]
+    assert late.record == ordered.record and "late_events" not in late.record
+    assert reversed_.record["late_events"] > len(events) / 2
+    assert any("so sort the recordings by time" in line for line in reversed_.notes)
+
+
 # -- what is held out ------------------------------------------------------------------------------
 
 
@@ -229,6 +277,24 @@ def test_of_a_single_recording_the_last_moments_are_held_out(tmp_path):
     assert len(held_out) == 6 and max(learned) <= min(held_out) - STEP_US
     assert data.record["held_out_in_time"] == list(CLASSES)
     assert any("held out in time" in line for line in data.notes)
+
+
+def test_a_class_without_a_box_to_learn_from_is_refused_with_the_reason(tmp_path):
+    events, rows = recording(5, n_steps=30)
+    last = [row._replace(name="late") if row.t > 28 * STEP_US else row for row in rows]
+    write_csv(tmp_path / "a", "one", events, last)
+    rule = "`validation` must leave boxes of each class to learn from: all boxes of class late"
+    with pytest.raises(ValueError, match=f"{rule} .*got 0.2"):
+        dataset_data(tmp_path / "a", CHOICE)
+    data = dataset_data(tmp_path / "a", CHOICE, split=Split(validation=0))
+    assert data.classes == (*CLASSES, "late")
+    # or it is in a recording that is left out
+    write_csv(tmp_path / "a", "one", events, rows)
+    ghost = rows[0]._replace(name="ghost")
+    write_csv(tmp_path / "a", "two", events, [ghost, ghost._replace(x="nan")])
+    reason = r"no box of class ghost is left .* \(left out: two.npz: two_objects.csv: x, y, w and h"
+    with pytest.raises(ValueError, match=reason):
+        dataset_data(tmp_path / "a", CHOICE)
 
 
 # -- scenes ----------------------------------------------------------------------------------------
