@@ -28,24 +28,27 @@ class FoundObject(NamedTuple):
 
 
 def box_overlap(
-    place: tuple[float, float],
-    size: tuple[float, float],
-    other_place: tuple[float, float],
-    other_size: tuple[float, float],
-) -> float:
+    place: torch.Tensor,
+    size: torch.Tensor,
+    other_place: torch.Tensor,
+    other_size: torch.Tensor,
+) -> torch.Tensor:
     """The area that two boxes share, divided by the area that they cover; 0 without areas.
 
-    Each box has a middle (x, y) and a size (width, height).
+    Each box has a middle (x, y) and a size (width, height): tensors (..., 2), which broadcast.
+
+    Example
+    -------
+    >>> place = torch.tensor([[0.0, 0.0], [4.0, 0.0]])
+    >>> size = torch.tensor([8.0, 8.0])
+    >>> box_overlap(place, size, place[0], size)
+    tensor([1.0000, 0.3333])
     """
-    shared = 1.0
-    for middle, side, other_middle, other_side in zip(
-        place, size, other_place, other_size, strict=True
-    ):
-        upper = min(middle + side / 2, other_middle + other_side / 2)
-        lower = max(middle - side / 2, other_middle - other_side / 2)
-        shared *= max(0.0, upper - lower)
-    covered = size[0] * size[1] + other_size[0] * other_size[1] - shared
-    return shared / covered if covered > 0 else 0.0
+    upper = torch.minimum(place + size / 2, other_place + other_size / 2)
+    lower = torch.maximum(place - size / 2, other_place - other_size / 2)
+    shared = (upper - lower).clamp(min=0).prod(-1)
+    covered = size.prod(-1) + other_size.prod(-1) - shared
+    return torch.where(covered > 0, shared / covered, 0.0)
 
 
 def boxes_on_map(
@@ -80,23 +83,18 @@ def boxes_on_map(
     n = 4 if has_places else 2
     boxes = maps[-n:].double().clamp(-10, 10)
     places = boxes[2:] if has_places else None
+    scaled = torch.tensor(scale, dtype=torch.float64)
     kept: list[FoundObject] = []
     for found in objects_on_map(maps[:-n], near, boxes[:2].exp(), places):
-        overlaps = [
-            box_overlap(_scaled(found[2:4], scale), _scaled(found[4:], scale), place, size)
-            for place, size in (
-                (_scaled(other[2:4], scale), _scaled(other[4:], scale))
-                for other in kept
-                if other.label == found.label
-            )
-        ]
-        if all(overlap <= most_overlap for overlap in overlaps):
+        others = [other[2:] for other in kept if other.label == found.label]
+        place, size = torch.tensor(found[2:], dtype=torch.float64).split(2)
+        other = torch.tensor(others, dtype=torch.float64).reshape(-1, 4)
+        overlaps = box_overlap(
+            place * scaled, size * scaled, other[:, :2] * scaled, other[:, 2:] * scaled
+        )
+        if (overlaps <= most_overlap).all():
             kept.append(found)
     return kept
-
-
-def _scaled(pair: tuple[float, ...], scale: tuple[float, float]) -> tuple[float, float]:
-    return pair[0] * scale[0], pair[1] * scale[1]
 
 
 def objects_on_map(
@@ -233,39 +231,53 @@ class ObjectNumbers:
 
         sizes : the width and height of their boxes; None: they have none.
         """
-        free_objects = [known for known in self.known if time_us - known.time_us <= self.memory_us]
+        known = [known for known in self.known if time_us - known.time_us <= self.memory_us]
+        if sizes is None:
+            sizes = [(0.0, 0.0)] * len(places)
+        overlaps, distances = self._compared(places, sizes, known)
+        is_free = torch.ones(len(known), dtype=torch.bool)
         current_objects = []
         for rank, (x, y) in enumerate(places):
-            size = (0.0, 0.0) if sizes is None else sizes[rank]
-            candidates = [
-                (known, box_overlap((x, y), size, (known.x, known.y), known.size))
-                for known in free_objects
-                if rank < self.most
-            ]
-            most_overlap = max((overlap for _, overlap in candidates), default=0.0)
-            near = [
-                known
-                for known, overlap in candidates
-                if overlap == most_overlap and (overlap > 0 or self._distance(known, x, y) < 1)
-            ]
+            near: list[int] = []
+            if rank < self.most and is_free.any():
+                overlap = overlaps[rank]
+                is_most = is_free & (overlap == overlap[is_free].max())
+                near = (is_most & ((overlap > 0) | (distances[rank] < 1))).nonzero()[:, 0].tolist()
             number = self.next_number
             if near:
-                nearest = min(near, key=lambda known: self._preference(known, x, y))
-                free_objects.remove(nearest)
-                number = nearest.number
+                distance = distances[rank].tolist()
+                nearest = min(near, key=lambda k: (distance[k], -known[k].decision, known[k].rank))
+                is_free[nearest] = False
+                number = known[nearest].number
             else:
                 self.next_number += 1
-            current = _KnownObject(number, x, y, time_us, self.decision, rank, size)
+            current = _KnownObject(number, x, y, time_us, self.decision, rank, sizes[rank])
             current_objects.append(current)
-        earlier = sorted(free_objects, key=lambda known: (-known.decision, known.rank))
+        not_found = [known[k] for k in is_free.nonzero()[:, 0].tolist()]
+        earlier = sorted(not_found, key=lambda known: (-known.decision, known.rank))
         self.known = (current_objects[: self.most] + earlier)[: self.room]
         self.decision += 1
-        return [known.number for known in current_objects]
+        return [current.number for current in current_objects]
 
-    def _preference(self, known: _KnownObject, x: float, y: float) -> tuple[float, int, int]:
-        """A key of a known object: an object at (x, y) takes the number with the lowest key."""
-        return self._distance(known, x, y), -known.decision, known.rank
+    def _compared(
+        self,
+        places: Sequence[tuple[float, float]],
+        sizes: Sequence[tuple[float, float]],
+        known: Sequence[_KnownObject],
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """How much the box of each object overlaps with that of each known one; their distances.
 
-    def _distance(self, known: _KnownObject, x: float, y: float) -> float:
-        """The squared distance, in units of the reach."""
-        return float(((x - known.x) / self.reach[0]) ** 2 + ((y - known.y) / self.reach[1]) ** 2)
+        Distances are squared, in units of the reach. Two tensors of shape (objects, known objects).
+        """
+        place = _pairs(places)[:, None]
+        size = _pairs(sizes)[:, None]
+        known_place = _pairs([(one.x, one.y) for one in known])
+        known_size = _pairs([one.size for one in known])
+        reach = torch.tensor(self.reach, dtype=torch.float64)
+        distances = (((place - known_place) / reach) ** 2).sum(-1)
+        return box_overlap(place, size, known_place, known_size), distances
+
+
+def _pairs(numbers: Sequence[tuple[float, float]]) -> torch.Tensor:
+    """Pairs of numbers as a tensor (N, 2), float64."""
+    return torch.tensor(numbers, dtype=torch.float64).reshape(-1, 2)

@@ -131,8 +131,9 @@ def test_an_object_that_overlaps_a_likelier_one_of_its_class_is_left_out(second,
     maps[3:, 3, :] = np.log(4.0 * 2)
     config = CONFIG.replace(sensor=(36, 36), grid=(36, 36))
     decision = Processor(config, classifier=lambda volume: maps, classes=["a", "b"]).fire()
-    overlap = box_overlap((0, 0), (8, 8), (2 * apart, 0), (8, 8))
-    assert (overlap > 0.5) is (apart == 1)
+    size = torch.tensor([8.0, 8.0])
+    overlap = box_overlap(torch.zeros(2), size, torch.tensor([2.0 * apart, 0.0]), size)
+    assert bool(overlap > 0.5) is (apart == 1)
     assert len(decision.objects) == n_listed
 
 
