@@ -43,9 +43,11 @@ def trained(gestures, tmp_path_factory):
 def few_steps(monkeypatch):
     """A fixture for tests whose model need not learn: two steps an epoch instead of fifty.
 
-    Half of the time that is left goes into checks of the same network for the same volume, and into
-    the picture of the curves. So a network is checked once, and `trained` alone draws a picture.
+    Most of the time that is left goes into checks of the same network for the same volume, into the
+    picture of the curves, and into starts of processes. So a network is checked once, `trained`
+    alone draws a picture, and one process does all.
     """
+    monkeypatch.setattr("async_tnt.cli.train.available_cores", lambda: 1)
     monkeypatch.setattr("async_tnt.training.settings.STEPS_AN_EPOCH", 2)
     monkeypatch.setattr("async_tnt.training.plan.check_network", check_network_once)
     monkeypatch.setattr("async_tnt.training.run_folder.plot_curves", write_no_curves)
