@@ -1,6 +1,7 @@
 """One network for objects of many sizes, trained on drawn pictures, and scored in made scenes.
 
-    python -m experiments.object_scales --out FOLDER [--seeds N] [--epochs N] [--json FILE]
+    python -m experiments.object_scales --out FOLDER [--seeds N] [--epochs N] [--network NAME]
+                                        [--json FILE]
     python -m experiments.object_scales --out FOLDER --final [--json FILE]
 
 A network learns from pictures alone: from PNG files of eight kinds of drawn objects, 40 of each,
@@ -18,7 +19,8 @@ box of its class lies in the ellipse that touches the sides of its box.
 
 The first command trains, and scores scenes of the tuning seed: at some epochs for the learning
 curve, and at the end. The second one scores the final set once. What is finished is kept in
-FOLDER; give the same command again to resume.
+FOLDER; give the same command again to resume. `--network map` trains a network of one level, in
+another FOLDER.
 """
 
 from __future__ import annotations
@@ -46,6 +48,7 @@ from async_tnt.training.settings import TrainSettings
 from async_tnt.training.training_data import TrainingData
 from async_tnt.volume.sensor import format_size
 from experiments.objects.kinds import KINDS
+from experiments.objects.mistakes import Mistakes
 from experiments.objects.scenes import FINAL_SEED, SENSORS, TUNING_SEED, made_scene
 from experiments.pictures.drawn import OTHER, write_drawn
 from experiments.scripts.options import add_count, exit_with, script_parser, write_outputs
@@ -106,7 +109,7 @@ class Scenes(NamedTuple):
 
 
 def score(model: Model, scenes: Scenes, tick: Callable[[], None]) -> dict[str, Any]:
-    """Time in ms -> the scores of a model in scenes at that time.
+    """Time in ms -> the scores of a model in scenes at that time; and what it mistakes at the end.
 
     tick : called after each scene.
     """
@@ -115,6 +118,7 @@ def score(model: Model, scenes: Scenes, tick: Callable[[], None]) -> dict[str, A
     n_classes = len(model.classes)
     boxes = {ms: FoundBoxes() for ms in TIMES_MS}
     counts = {ms: ObjectScores(*np.zeros((3, n_classes), np.int64)) for ms in TIMES_MS}
+    mistakes = Mistakes()
     for columns, labels, true_boxes in scenes:
         processor.reset()
         first = 0
@@ -123,12 +127,15 @@ def score(model: Model, scenes: Scenes, tick: Callable[[], None]) -> dict[str, A
             processor.push(tuple(column[first:end] for column in columns))
             first = end
             table = _table(present, [model.classes.index(label) for label in labels], ms)
-            objects = processor.fire().objects or ()
-            found = _rows([one for one in objects if one.label != OTHER])
+            objects = [one for one in processor.fire().objects or () if one.label != OTHER]
+            found = _rows(objects)
             boxes[ms].add(table, slice(None), found)
             counts[ms] += score_objects(found, table.label, table.middle, table.reach, n_classes)
+        found_boxes = np.array([one.box for one in objects]).reshape(-1, 4)
+        found_kinds = [one.label for one in objects]
+        mistakes.add(true_boxes[-1], labels, found_boxes, found_kinds, min(scenes.sensor))
         tick()
-    scores: dict[str, Any] = {}
+    scores: dict[str, Any] = {"mistakes": mistakes.to_dict()}
     for ms in TIMES_MS:
         scores[str(ms)] = {"f1": round(counts[ms].f1, 5), **boxes[ms].scores(model.classes)}
         if ms == TIMES_MS[-1]:
@@ -158,18 +165,41 @@ def _table(boxes: np.ndarray, labels: list[int], ms: int) -> ObjectTable:
     )
 
 
-def read_data(
-    folder: Path, seed: int, epochs: int, n_pictures: int
-) -> tuple[TrainingData, TrainSettings]:
+class Training(NamedTuple):
+    """How the networks are trained.
+
+    Parameters
+    ----------
+    epochs : number of epochs.
+    n_pictures : number of pictures of each kind.
+    n_scenes : number of scenes in which a network is scored between epochs.
+    network : one of those of `async-tnt train`; None: its default.
+    """
+
+    epochs: int = EPOCHS
+    n_pictures: int = N_PICTURES
+    n_scenes: int = N_CURVE
+    network: str | None = None
+
+
+def read_data(folder: Path, seed: int, how: Training) -> tuple[TrainingData, TrainSettings]:
     """The data and the settings of a training, as the command in the head of this file has them."""
     pictures = folder / "pictures"
     if not pictures.is_dir():
-        write_drawn(pictures, n_pictures)
+        write_drawn(pictures, how.n_pictures)
     (folder / "recordings").mkdir(exist_ok=True)
     volume = VolumeChoice.of(
         window_us=LEARNED_US, representation="volume", bins=5, polarity="split", transform="none"
     )
-    plan = Plan(volume, epochs=epochs, seed=seed, everywhere=True, has_pictures=True, scales=SCALES)
+    plan = Plan(
+        volume,
+        epochs=how.epochs,
+        seed=seed,
+        network=how.network,
+        everywhere=True,
+        has_pictures=True,
+        scales=SCALES,
+    )
     data = dataset_data(
         pictures,
         volume,
@@ -207,7 +237,7 @@ def model_so_far(run_folder: Path, data: TrainingData, settings: TrainSettings) 
     return replace(model, by_share=True)
 
 
-def train(folder: Path, seed: int, epochs: int, n_pictures: int, n_scenes: int) -> Path:
+def train(folder: Path, seed: int, how: Training) -> Path:
     """Train a model, and score it on the way. Returns its file, beside that of its curve.
 
     The curve, a list of rows, is in a file of the same name with the suffix .json.
@@ -216,14 +246,14 @@ def train(folder: Path, seed: int, epochs: int, n_pictures: int, n_scenes: int) 
     curve_path = path.with_suffix(".json")
     if path.exists():
         return path
-    data, settings = read_data(folder, seed, epochs, n_pictures)
+    data, settings = read_data(folder, seed, how)
     run_folder = folder / f"run{seed}"
     rows = json.loads(curve_path.read_text()) if curve_path.exists() else []
-    scenes = Scenes(TUNING_SEED, SENSORS[0], n_scenes, folder / "scenes")
+    scenes = Scenes(TUNING_SEED, SENSORS[0], how.n_scenes, folder / "scenes")
 
     def report(row: dict[str, float]) -> None:
         epoch = int(row["epoch"])
-        if epoch % CURVE_STEP and epoch != epochs:
+        if epoch % CURVE_STEP and epoch != how.epochs:
             return
         model = model_so_far(run_folder, data, settings)
         scores = score(model, scenes, lambda: None)
@@ -250,19 +280,16 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
     """The report: what the models of all seeds score, and their learning curves."""
     seed_of_scenes = FINAL_SEED if args.final else TUNING_SEED
     numbers = N_FINAL if args.final else N_TUNING
-    epochs = args.epochs
-    n_pictures = N_PICTURES
+    how = Training(args.epochs, network=args.network)
     if args.quick:
         numbers = (2, 1)
-        epochs = 1
-        n_pictures = 2
+        how = Training(1, 2, 1, args.network)
     rows = []
     for seed in range(1 if args.quick else args.seeds):
         path = args.out / f"model{seed}.safetensors"
         if args.final and not path.exists():
             raise FileNotFoundError(f"{path} is missing: train first, without --final")
-        n_curve = 1 if args.quick else N_CURVE
-        path = train(args.out, seed, epochs, n_pictures, n_curve)
+        path = train(args.out, seed, how)
         model = load_model(path)
         row: dict[str, Any] = {"seed": seed, "scores": {}}
         with progress(sum(numbers), "scenes") as bar:
@@ -275,9 +302,9 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
     return {
         "scenes": dict(zip(map(format_size, SENSORS), numbers, strict=True)),
         "scenes_seed": seed_of_scenes,
-        "pictures": n_pictures * (len(KINDS) + 2),  # twice as many of other things
+        "pictures": how.n_pictures * (len(KINDS) + 2),  # twice as many of other things
         "recorded_events": 0,
-        "epochs": epochs,
+        "epochs": how.epochs,
         "multiplications": model.multiplications,
         "models": rows,
         "machine": machine("torch"),
@@ -293,6 +320,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--final", action="store_true", help="score the final set")
     add_count(parser, "--seeds", 1, "networks")
     add_count(parser, "--epochs", EPOCHS, "of a training")
+    parser.add_argument("--network", metavar="NAME", help="of `async-tnt train`, not the default")
     args = parser.parse_args(argv)
     write_outputs(args, measure(args))
     return 0

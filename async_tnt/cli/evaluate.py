@@ -20,7 +20,7 @@ from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS_TEXT, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
-from async_tnt.evaluation.box_scores import CONVENTIONS
+from async_tnt.evaluation.box_conventions import CONVENTIONS
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Job, Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
@@ -56,10 +56,19 @@ A model that finds objects needs recordings with a table of objects: NAME_object
 DSEC-Detection with their object_detections/left/tracks.npy. For each time in the
 table, the model sees the window that ends there. An object of the table is found if the
 model sees its class within 5 pixels of its point, or within the ellipse that touches
-the sides of its box. The report also says how many are found earlier in the window.
+the sides of its box. If the model says sizes, and with the extra `boxes`, the report
+also has COCO's mean average precision (mAP): the mean over overlaps of .5 to .95, at .5,
+at .75, and by the boxes' areas. Scores are given after 10, 30, 50 and 100 ms of a window,
+as far as it is longer, and at its end. --boxes says which boxes count in all of them:
+
+  all    every box and point, at every time of the tables
+  gen1   those after the first half second, with sides of at least 10 pixels and a
+         diagonal of at least 30; times of the tables without such a box do not count
+  1mpx   likewise, with sides of at least 20 pixels and a diagonal of at least 60
 
   async-tnt evaluate gestures.safetensors held_out
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
+  async-tnt evaluate finder.safetensors gen1/test --boxes gen1
 
 Keep the result of each recording in a file:
 
@@ -85,7 +94,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("model", metavar="MODEL", help=MODELS_TEXT)
     parser.add_argument(
-        "dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>"
+        "dataset",
+        type=user_path,
+        metavar="DATASET",
+        help="folder with <class name>/<recordings>, or with recordings and tables of objects",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)
@@ -113,9 +125,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--boxes",
         choices=tuple(CONVENTIONS),
         default="all",
-        help="boxes that count in COCO's scores (extra `boxes`) of a model that says sizes: all, "
-        "or as Gen1 and 1Mpx have it, without the first half second and without boxes smaller "
-        "than 10 (20) pixels or with a diagonal below 30 (60) (default: all)",
+        help="boxes that count, if the model says sizes of objects: all, or those that the "
+        "evaluators of Gen1 or 1Mpx count, see above (default: all)",
     )
     parser.add_argument(
         "--strict", action="store_true", help="exit code 2 if any recording was skipped"
@@ -137,6 +148,8 @@ def main(args: argparse.Namespace) -> int:
         )
     if model.places is not None:
         return evaluate_objects(args, model)
+    if args.boxes != "all":
+        raise ValueError(f"{args.model} finds no objects, for which --boxes {args.boxes} is")
 
     pixels = model_pixels_of(pixels_of(args), model)
     recordings_of_class = labelled_recordings(args.dataset, model)

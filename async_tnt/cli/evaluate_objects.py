@@ -13,8 +13,14 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.cli.output import complain, say
-from async_tnt.evaluation.box_scores import CONVENTIONS, FoundBoxes
-from async_tnt.evaluation.object_scores import SHARES, ObjectScores, score_recording
+from async_tnt.evaluation.box_conventions import CONVENTIONS
+from async_tnt.evaluation.box_scores import FoundBoxes
+from async_tnt.evaluation.object_scores import (
+    ObjectScores,
+    by_milliseconds,
+    moments_us,
+    score_recording,
+)
 from async_tnt.evaluation.object_tables import ObjectTable, find_tables, read_table
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
@@ -30,29 +36,31 @@ class _Totals:
 
     Attributes
     ----------
-    scores : share of a window -> the scores after this share; empty before the first recording.
-    n_moments : number of moments in the tables.
-    n_off_sensor : number of objects in the tables whose middle is off the sensor.
+    scores : for each of `moments_us`, the scores; empty before the first recording.
+    n_moments : number of times in the tables at which objects count.
+    n_left_out : number of objects in the tables that do not count, by --boxes.
+    n_off_sensor : number of the other objects in the tables whose middle is off the sensor.
     unknown : class that the model does not know -> number of its objects in the tables.
     skipped : for each recording that cannot be read, the error.
-    boxes : share of a window -> the boxes of the tables and those found after this share; empty if
+    boxes : for each of `moments_us`, the boxes of the tables and those found until then; empty if
         the model says no sizes.
     """
 
-    scores: dict[float, ObjectScores] = field(default_factory=dict)
+    scores: dict[int, ObjectScores] = field(default_factory=dict)
     n_moments: int = 0
+    n_left_out: int = 0
     n_off_sensor: int = 0
     unknown: Counter[str] = field(default_factory=Counter)
     skipped: list[str] = field(default_factory=list)
-    boxes: dict[float, FoundBoxes] = field(default_factory=dict)
+    boxes: dict[int, FoundBoxes] = field(default_factory=dict)
 
-    def add(self, scores: dict[float, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
-        """Add the scores and the table of one recording."""
-        for share, recording_scores in scores.items():
-            if share in self.scores:
-                self.scores[share] += recording_scores
+    def add(self, scores: dict[int, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
+        """Add the scores of one recording, and the objects of its table that count."""
+        for moment, recording_scores in scores.items():
+            if moment in self.scores:
+                self.scores[moment] += recording_scores
             else:
-                self.scores[share] = recording_scores
+                self.scores[moment] = recording_scores
         self.n_moments += len(np.unique(table.t))
         is_off = ((table.middle < 0) | (table.middle >= sensor)).any(axis=1)
         self.n_off_sensor += int(is_off.sum())
@@ -73,11 +81,16 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         raise ValueError(
             f"{args.model}: objects are scored in windows of a duration, not of a number of events"
         )
+    if args.boxes != "all" and not model.has_sizes:
+        raise ValueError(
+            f"{args.model} says no sizes of objects, by which --boxes {args.boxes} leaves some out"
+        )
 
     tables = find_tables(args.dataset)
     totals = _Totals()
     if model.has_sizes:
-        totals.boxes = {share: FoundBoxes(CONVENTIONS[args.boxes]) for share in SHARES}
+        moments = moments_us(model.config.window_us)
+        totals.boxes = {moment: FoundBoxes() for moment in moments}
     with progress(len(tables), "recordings") as bar:
         for path, table in tables:
             try:
@@ -91,7 +104,8 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
             f"{totals.skipped[0]}"
         )
 
-    report = _report_of(totals, model, len(tables) - len(totals.skipped))
+    n_recordings = len(tables) - len(totals.skipped)
+    report = {**_report_of(totals, model, n_recordings), "boxes": args.boxes}
     if args.json:
         say(json.dumps(report))
     else:
@@ -131,23 +145,24 @@ def _score(
     if recording.sensor is None:
         raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
     fitting = model.for_sensor(recording.sensor)
-    scores = score_recording(fitting, recording, table, totals.boxes or None)
-    totals.add(scores, table, recording.sensor)
+    convention = CONVENTIONS[args.boxes]
+    counted = convention.of_table(table)
+    scores = score_recording(fitting, recording, counted, totals.boxes or None, convention)
+    totals.add(scores, counted, recording.sensor)
+    totals.n_left_out += len(table.t) - len(counted.t)
 
 
 def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, Any]:
     """The report with all numbers, as --json prints it."""
-    f1_against_time = {}
-    for share, scores in totals.scores.items():
-        after_ms = share * model.config.window_us / 1e3
-        f1_against_time[f"{after_ms:g}"] = round(scores.f1, 5)
-    after_whole_window = totals.scores[1.0]
+    f1_of = {moment: round(scores.f1, 5) for moment, scores in totals.scores.items()}
+    at_end = totals.scores[model.config.window_us]
     return {
-        **after_whole_window.to_dict(model.classes),
-        "f1_against_time_ms": f1_against_time,
+        **at_end.to_dict(model.classes),
+        "f1_against_time_ms": by_milliseconds(f1_of),
         **_box_scores(totals, model),
         "recordings": n_recordings,
         "moments": totals.n_moments,
+        "left_out": totals.n_left_out,
         "unknown_classes": totals.unknown,
         "off_sensor": totals.n_off_sensor,
         "skipped": totals.skipped,
@@ -155,19 +170,17 @@ def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, An
 
 
 def _box_scores(totals: _Totals, model: Model) -> dict[str, Any]:
-    """COCO's scores after each share of a window, and why there are none, if there are none."""
+    """COCO's scores at each of `moments_us`, and why there are none, if there are none."""
     if not totals.boxes:
         return {"coco": None, "no_coco": "the model says no sizes"}
-    if not totals.boxes[1.0].n_present:
+    at_end = model.config.window_us
+    if not totals.boxes[at_end].n_present:
         return {"coco": None, "no_coco": "the tables have no boxes that count"}
     try:
-        by_time = {
-            f"{share * model.config.window_us / 1e3:g}": boxes.scores(model.classes)
-            for share, boxes in totals.boxes.items()
-        }
+        scores_of = {moment: boxes.scores(model.classes) for moment, boxes in totals.boxes.items()}
     except ImportError as error:
         return {"coco": None, "no_coco": str(error)}
-    return {"coco": list(by_time.values())[-1], "coco_against_time_ms": by_time}
+    return {"coco": scores_of[at_end], "coco_against_time_ms": by_milliseconds(scores_of)}
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
@@ -176,6 +189,12 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"F1 {report['f1']:.4f}: {report['precision']:.4f} of {report['found']} objects found are "
         f"right, {report['recall']:.4f} of {report['objects']} are found, "
         f"at {report['moments']} moments of {report['recordings']} recordings",
+    ]
+    if report["boxes"] != "all":
+        lines.append(
+            f"--boxes {report['boxes']}: {report['left_out']} objects of the tables do not count"
+        )
+    lines += [
         "",
         f"{'class':<24} {'F1':>8} {'objects':>9} {'found':>9} {'right':>9}",
     ]

@@ -1,4 +1,4 @@
-"""`async-tnt train`: train a classifier on folders of recordings, one folder for each class."""
+"""`async-tnt train`: train a model on folders of recordings, one for each class, or on tables."""
 
 from __future__ import annotations
 
@@ -123,7 +123,9 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
         raise ValueError(
             "--roi must come with --crop where motions are re-synthesized: objects leave the region"
         )
-    if find_pictures(args.dataset):
+    if _has_tables(args):
+        _check_options_of_tables(args)
+    elif find_pictures(args.dataset):
         _check_options_of_pictures(args)
     elif args.camera or args.scales or args.size != SceneSettings.size:
         raise ValueError("--camera, --size and --scales are for pictures; DATASET holds none")
@@ -144,6 +146,37 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
                 f"--out must lie outside of {class_root}, in which a folder is a class; got "
                 f"{args.out}"
             )
+
+
+def _has_tables(args: argparse.Namespace) -> bool:
+    """Whether DATASET holds recordings with tables of boxes."""
+    from async_tnt.evaluation.object_tables import has_tables
+    from async_tnt.training.table_windows import PART
+
+    return has_tables(args.dataset, PART)
+
+
+def _check_options_of_tables(args: argparse.Namespace) -> None:
+    """Refuse options that recordings with tables of boxes do not allow."""
+    if not args.everywhere:
+        raise ValueError("DATASET holds tables of boxes: give --everywhere to learn from them")
+    refused = {
+        "--scales": args.scales,
+        "--size": args.size != SceneSettings.size,
+        "--camera": args.camera,
+        "--roi": args.roi,
+        "--mask": args.mask,
+    }
+    given = [option for option, value in refused.items() if value]
+    if given:
+        raise ValueError(
+            f"{', '.join(given)} cannot be used with tables of boxes, which are of the whole "
+            "sensor and have sizes"
+        )
+    if args.test:
+        raise ValueError(
+            "--test is for class folders: give recordings with tables to `async-tnt evaluate`"
+        )
 
 
 def _check_options_of_pictures(args: argparse.Namespace) -> None:
@@ -225,6 +258,7 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
         **volume_of(args.volume),
     )
     _check_volume(args, volume.config.transform)
+    has_tables = _has_tables(args)
     plan = Plan(
         volume,
         network=args.network,
@@ -232,8 +266,9 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
         seed=args.seed,
         everywhere=args.everywhere,
         mirror=args.mirror,
-        has_pictures=bool(find_pictures(args.dataset)),
+        has_pictures=not has_tables and bool(find_pictures(args.dataset)),
         scales=args.scales,
+        has_tables=has_tables,
     )
     plan.check()
     split = Split(args.validation, args.groups, args.test, args.seed)

@@ -27,6 +27,8 @@ pictures, which simulated cameras record in many motions, or of both:
 
   async-tnt train gestures --out gestures.safetensors   # gestures/wave/*.npz ...
   async-tnt train pictures --sensor 640x480             # pictures/cup/*.jpg ...
+  async-tnt train gen1 --everywhere                     # recordings with tables of boxes
+  async-tnt train pictures --everywhere --scales 0.08-0.33 --sensor 240x180
   async-tnt evaluate gestures.safetensors other         # on other recordings
   async-tnt run --model gestures.safetensors camera     # use it
   async-tnt teach gestures.safetensors --class point point/*.npz --out more.safetensors
@@ -54,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "dataset",
         type=user_path,
         metavar="DATASET",
-        help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...)",
+        help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...), "
+        "or recordings with tables",
     )
     parser.add_argument(
         "--sensor",
@@ -130,8 +133,9 @@ def _add_pictures(group: argparse._ActionsContainer) -> None:
         "--scales",
         type=_range,
         metavar="MIN-MAX",
-        help="with --everywhere: objects of many sizes in scenes of the sensor, measured as by "
-        "--size, in its place (such as 0.08-0.33)",
+        help="with --everywhere, for pictures only: objects of many sizes in scenes of the sensor, "
+        "measured as by --size, in its place. `for_sensor` fits the model to sensors of other "
+        "resolution",
     )
     group.add_argument(
         "--camera",
@@ -172,7 +176,8 @@ def _add_network(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--everywhere",
         action="store_true",
-        help="a model that finds objects anywhere; it learns from scenes of several recordings",
+        help="a model that finds objects anywhere; it learns from scenes of several recordings, "
+        "or from tables of boxes",
     )
     group.add_argument(
         "--network",

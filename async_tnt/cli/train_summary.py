@@ -71,7 +71,7 @@ def _accuracy(scores: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> 
             f"{f1:.4f} after {ms} ms" for ms, f1 in scores["f1_against_time_ms"].items()
         ]
         f1_text = f"F1 {scores['f1']:.4f} of {scores['objects']} objects in scenes"
-        return f"{f1_text} ({', '.join(early_scores)})"
+        return f"{f1_text} ({', '.join(early_scores)})" if early_scores else f1_text
     text = f"{scores['per_window']:.4f} of {scores['windows']} windows"
     if "recordings" in scores:
         text += f", {scores['per_recording']:.4f} of {scores['recordings']} recordings"

@@ -12,7 +12,7 @@ import contextlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,45 +25,14 @@ SCORES = ("map", "map_50", "map_75", "map_small", "map_medium", "map_large")
 of boxes, below 32 x 32 pixels, up to 96 x 96, and above."""
 
 
-class Convention(NamedTuple):
-    """Which boxes count, as a data set has it. The others are left out, found ones, too."""
-
-    skipped_us: int = 0
-    """Boxes before this time do not count."""
-    least_side_px: float = 0.0
-    """The least width and height of a box."""
-    least_diagonal_px: float = 0.0
-    """The least diagonal of a box."""
-
-    def counts(self, t_us: np.ndarray, width: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """Whether each box counts."""
-        is_large = np.minimum(width, height) >= self.least_side_px
-        is_long = np.hypot(width, height) >= self.least_diagonal_px
-        counted: np.ndarray = (t_us >= self.skipped_us) & is_large & is_long
-        return counted
-
-
-ALL_BOXES = Convention()
-"""All boxes count."""
-
-CONVENTIONS = {
-    "all": ALL_BOXES,
-    "gen1": Convention(500_000, 10.0, 30.0),
-    "1mpx": Convention(500_000, 20.0, 60.0),
-}
-"""Name -> convention. Those of Prophesee's Gen1 and 1Mpx sets are the ones of their toolbox."""
-
-
 @dataclass
 class FoundBoxes:
     """The boxes of tables, and those that a model has found, at many moments.
 
-    Parameters
-    ----------
-    convention : which boxes count.
+    Each moment is what COCO calls an image. One without boxes of the table is an image, too: what
+    is found there is wrong. Boxes that do not count, see `Convention`, must not be added.
     """
 
-    convention: Convention = ALL_BOXES
     _n_moments: int = 0
     _present: list[dict[str, Any]] = field(default_factory=list)
     _found: list[dict[str, Any]] = field(default_factory=list)
@@ -79,9 +48,8 @@ class FoundBoxes:
         moment = self._n_moments
         self._n_moments += 1
         size = table.size[rows]
-        counts = self.convention.counts(table.t[rows], size[:, 0], size[:, 1])
         corner = table.middle[rows] - size / 2
-        for k in np.flatnonzero(counts & (size > 0).all(axis=1)):
+        for k in np.flatnonzero((size > 0).all(axis=1)):
             self._present.append(
                 {
                     "id": len(self._present) + 1,
@@ -92,17 +60,16 @@ class FoundBoxes:
                     "iscrowd": 0,
                 }
             )
-        t_us = np.full(len(found), table.t[rows][0])
-        for k in np.flatnonzero(self.convention.counts(t_us, found[:, WIDTH], found[:, HEIGHT])):
-            width, height = found[k, [WIDTH, HEIGHT]].tolist()
-            left = float(found[k, X]) - width / 2
-            top = float(found[k, Y]) - height / 2
+        for found_object in found:
+            width, height = found_object[[WIDTH, HEIGHT]].tolist()
+            left = float(found_object[X]) - width / 2
+            top = float(found_object[Y]) - height / 2
             self._found.append(
                 {
                     "image_id": moment,
-                    "category_id": int(found[k, CLASS]),
+                    "category_id": int(found_object[CLASS]),
                     "bbox": [left, top, width, height],
-                    "score": float(found[k, PROBABILITY]),
+                    "score": float(found_object[PROBABILITY]),
                 }
             )
 

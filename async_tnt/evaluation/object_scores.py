@@ -9,10 +9,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from async_tnt.evaluation.box_conventions import ALL_BOXES, Convention
 from async_tnt.evaluation.box_scores import FoundBoxes
 from async_tnt.evaluation.object_tables import ObjectTable
 from async_tnt.kernels.decisions.objects import CLASS, FOUND_SIZE, X, Y
@@ -21,8 +22,36 @@ from async_tnt.sources.files.recording import Recording
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.events import EVENT_DTYPE
 
-SHARES = 0.3, 0.5, 1.0
-"""Shares of a window. The objects that are found after each of them are scored."""
+Value = TypeVar("Value")
+
+EARLY_MS = (10, 30, 50, 100)
+"""Moments at which found objects are scored before a window's end, in milliseconds since its start.
+"""
+
+
+def moments_us(window_us: int) -> tuple[int, ...]:
+    """The moments at which found objects are scored, in microseconds since a window's start.
+
+    These are the moments of `EARLY_MS` before the window's end, and the end.
+
+    Examples
+    --------
+    >>> moments_us(105_000), moments_us(50_000)
+    ((10000, 30000, 50000, 100000, 105000), (10000, 30000, 50000))
+    """
+    early_us = [1000 * ms for ms in EARLY_MS if 1000 * ms < window_us]
+    return (*early_us, window_us)
+
+
+def by_milliseconds(values: Mapping[int, Value]) -> dict[str, Value]:
+    """The same values, with their moments in milliseconds, as a report names them.
+
+    Examples
+    --------
+    >>> by_milliseconds({10_000: "early", 52_500: "late"})
+    {'10': 'early', '52.5': 'late'}
+    """
+    return {f"{us / 1e3:g}": value for us, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -142,22 +171,26 @@ def score_recording(
     model: Model,
     recording: Recording,
     table: ObjectTable,
-    boxes: Mapping[float, FoundBoxes] | None = None,
-) -> dict[float, ObjectScores]:
-    """Score the objects that a model finds in a recording, after each of `SHARES` of a window.
+    boxes: Mapping[int, FoundBoxes] | None = None,
+    convention: Convention = ALL_BOXES,
+) -> dict[int, ObjectScores]:
+    """Score the objects that a model finds in a recording, early in a window and at its end.
 
-    A window ends at each moment of the table. The recording is read twice, so that the scores do
-    not depend on the order of the events or on packets.
+    A window ends at each time of the table. It is empty at its start, also if the model's windows
+    slide. The recording is read twice, so that the scores do not depend on the order of the events
+    or on packets.
 
     Parameters
     ----------
     model : a map model, for the recording's sensor.
-    boxes : share of a window -> the boxes at all moments so far, to which those of this recording
-        are added; None: boxes are not kept.
+    boxes : for each of `moments_us`, the boxes at all times so far, to which those of this
+        recording are added; None: boxes are not kept.
+    convention : which found objects count. Rows of the table that do not count are left out before,
+        by `Convention.of_table`. If none is left, the recording is not read.
 
     Returns
     -------
-    For each of `SHARES`, the scores over all moments of the table.
+    For each of `moments_us` of the model's windows, the scores over all times of the table.
 
     Raises
     ------
@@ -168,24 +201,28 @@ def score_recording(
     n_classes = len(model.classes)
     processor = Processor(model, start_us=0)
     zeros = np.zeros(n_classes, np.int64)
-    scores = dict.fromkeys(SHARES, ObjectScores(zeros, zeros, zeros))
+    moments = moments_us(window_us)
+    scores = dict.fromkeys(moments, ObjectScores(zeros, zeros, zeros))
     # the boxes of a recording that turns out to be damaged do not count
-    found_boxes: list[tuple[float, slice, np.ndarray]] = []
+    found_boxes: list[tuple[int, slice, np.ndarray]] = []
+    if not len(table.t):
+        return scores
 
     times_us, rows_of = zip(*table.moments(), strict=True)
     n_events = 0
-    for rows, events in zip(rows_of, _windows(recording, times_us, window_us), strict=True):
+    windows = _windows(recording, times_us, window_us)
+    for t_us, rows, events in zip(times_us, rows_of, windows, strict=True):
         processor.reset()
         n_events += len(events)
-        stops = np.searchsorted(events["t"], np.multiply(SHARES, window_us))
+        stops = np.searchsorted(events["t"], moments)
         # the last part is empty, because no event is after the window
         parts = np.split(events, stops)[:-1]
-        for share, part in zip(SHARES, parts, strict=True):
+        for moment, part in zip(moments, parts, strict=True):
             processor.push(part)
-            found = _objects_of(processor, round(share * window_us) - 1)
+            found = convention.of_found(_objects_of(processor, moment - 1), t_us)
             if boxes is not None:
-                found_boxes.append((share, rows, found))
-            scores[share] += score_objects(
+                found_boxes.append((moment, rows, found))
+            scores[moment] += score_objects(
                 found,
                 table.label[rows],
                 table.middle[rows],
@@ -199,9 +236,9 @@ def score_recording(
             f"{recording.path}: no event in the {window_us} us before any time in its table, "
             f"{times}"
         )
-    for share, rows, found in found_boxes:
+    for moment, rows, found in found_boxes:
         assert boxes is not None
-        boxes[share].add(table, rows, found)
+        boxes[moment].add(table, rows, found)
     return scores
 
 

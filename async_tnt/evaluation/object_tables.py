@@ -98,18 +98,57 @@ class ObjectTable:
             yield t, slice(begin, end)
 
 
-def find_tables(folder: Path) -> list[tuple[Path, Path]]:
+def part_folder(folder: Path, part: str) -> Path:
+    """The folder of a part of a data set, such as `folder/test`; without it, `folder` itself.
+
+    Capital letters do not matter: Prophesee's sets and DSEC write it small.
+
+    Raises
+    ------
+    OSError : the folder does not exist.
+    """
+    for path in sorted(folder.iterdir()):
+        if path.name.lower() == part.lower() and path.is_dir():
+            return path
+    return folder
+
+
+def find_tables(folder: Path, part: str = "test") -> list[tuple[Path, Path]]:
     """The recordings of a folder that have a table, as pairs (recording, table).
 
-    If the folder has a folder `Test`, the recordings are looked for in there. The folder may also
-    be a sequence of DSEC-Detection, or hold sequences.
+    The folder may also be a sequence of DSEC-Detection, or hold sequences.
+
+    Parameters
+    ----------
+    folder : holds the recordings and their tables.
+    part : if the folder has a folder of this name, the recordings are looked for in there.
 
     Raises
     ------
     ValueError : the folder has no recording with a table, or two recordings share a table.
     OSError : the folder does not exist.
     """
-    folder = folder / "Test" if (folder / "Test").is_dir() else folder
+    folder = part_folder(folder, part)
+    pairs = _pairs_in(folder)
+    if len({table for _, table in pairs}) < len(pairs):
+        raise ValueError(
+            f"{folder}: recordings that differ in their endings share a table of objects; keep one"
+        )
+    if not pairs:
+        raise ValueError(
+            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}, "
+            f"and no sequences with {TRACKS.as_posix()}"
+        )
+    return pairs
+
+
+def has_tables(folder: Path, part: str = "test") -> bool:
+    """Whether `find_tables` would find a recording with a table. No folder has none."""
+    return folder.is_dir() and len(_pairs_in(part_folder(folder, part))) > 0
+
+
+def _pairs_in(folder: Path) -> list[tuple[Path, Path]]:
+    """The recordings in a folder that have a table, and their tables."""
     pairs = _sequences_of_dsec(folder)
     for path in sorted(folder.iterdir()):
         if not is_recording(path) or path.name.endswith((CSV, BOXES)):
@@ -120,15 +159,6 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
             pairs.append((path, csv_table))
         elif boxes.is_file():
             pairs.append((path, boxes))
-    if len({table for _, table in pairs}) < len(pairs):
-        raise ValueError(
-            f"{folder}: recordings that differ in their endings share a table of objects; keep one"
-        )
-    if not pairs:
-        raise ValueError(
-            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}, "
-            f"and no sequences with {TRACKS.as_posix()}"
-        )
     return pairs
 
 
@@ -191,6 +221,36 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     n_rows_of = {str(name): int(n) for name, n in zip(unknown_classes, row_counts, strict=True)}
     middle = corner + size / 2
     return ObjectTable(rows.t[indices], label[indices], middle, reach, size, n_rows_of)
+
+
+def class_names(tables: Sequence[Path]) -> tuple[str, ...]:
+    """The classes of tables, sorted by name, as the `classes` of a model that learns from them.
+
+    Boxes whose classes have numbers alone have the classes "0", "1" and so on.
+
+    Raises
+    ------
+    ValueError : a table is damaged; some tables have names and others numbers; or the numbers leave
+        one out.
+    """
+    names: set[str] = set()
+    numbers: set[str] = set()
+    for path in tables:
+        is_npy = path.suffix == ".npy"
+        rows = _read_boxes(path, ()) if is_npy else _read_csv(path)
+        has_names = path.name == TRACKS.name or (path.parent / NAMES_FILE).is_file()
+        classes = numbers if is_npy and not has_names else names
+        classes.update(rows.names.tolist())
+    if not numbers:
+        return tuple(sorted(names))
+    remedy = f"name them in a file {NAMES_FILE} beside the boxes"
+    if names:
+        raise ValueError(f"some tables have names of classes, others only numbers; {remedy}")
+    all_numbers = tuple(str(k) for k in range(len(numbers)))
+    if numbers != set(all_numbers):
+        found = ", ".join(sorted(numbers, key=int))
+        raise ValueError(f"the numbers of classes must be 0, 1, 2 and so on, got {found}; {remedy}")
+    return all_numbers
 
 
 def _read_csv(path: Path) -> _Rows:

@@ -2,7 +2,8 @@
 
 Training needs torch (extra `train`). The first use of a name that needs torch imports it.
 
-dataset_data                     reads class folders into windows to train, validate and test on
+dataset_data                     reads class folders, or recordings with tables of boxes, into
+                                 windows to train, validate and test on
 VolumeChoice, Split, Work        arguments of `dataset_data`: how events become volumes, what is
                                  held out, where events are kept
 Recordings, make_windows         turn events in memory into windows, for `TrainingData`

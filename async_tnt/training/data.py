@@ -1,4 +1,6 @@
-"""Read a folder of class folders into windows to train, validate and test on.
+"""Read a data set into windows to train, validate and test on.
+
+It is a folder of class folders, or of recordings with tables of boxes (`table_data`).
 
 A description of the recordings goes into the model's record.
 """
@@ -14,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
+from async_tnt.evaluation.object_tables import has_tables
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.pixels.pixels import Pixels
@@ -29,6 +32,8 @@ from async_tnt.training.simulated_pictures import (
     find_pictures,
     with_pictures,
 )
+from async_tnt.training.table_data import table_data
+from async_tnt.training.table_windows import PART
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.volume_choice import VolumeChoice
 from async_tnt.training.windows import Windows, windows_of
@@ -50,7 +55,10 @@ def dataset_data(
     scales: tuple[float, float] | None = None,
     work: Work = Work(),  # noqa: B008  (frozen)
 ) -> TrainingData:
-    """Read a folder of class folders into windows to train, validate and test on.
+    """Read a data set into windows to train, validate and test on.
+
+    It is a folder of class folders, or of recordings whose tables say what stands where, for a map
+    model. Of the latter see `table_data`; what follows is about class folders.
 
     Whole groups of recordings are held out for validation. The first window of a recording starts
     at the recording's first event. Class folders may hold pictures, too. Pictures are split like
@@ -58,7 +66,7 @@ def dataset_data(
 
     Parameters
     ----------
-    folder : the data set; it has a folder for each class.
+    folder : the data set; it has a folder for each class, or recordings with tables of boxes.
     volume : how events become volumes. The data set replaces only the sensor of a `TNTConfig`. Of a
         `VolumeChoice`, it also decides the fields that the choice leaves open.
     pixels : selects the events to learn from by their pixels; by default all.
@@ -69,15 +77,28 @@ def dataset_data(
     scales : the least and the largest longer side of objects, as shares of the sensor's shorter
         side, for a map model that learns from scenes of a sensor of the data set's size, see
         `scenes`. Then the data set holds pictures only. None: each recording shows an object at the
-        size that it has there.
+        size that it has there. With tables, sizes come from them.
     work : where events are kept, and how many processes record pictures.
 
     Raises
     ------
     ValueError, OSError : as `read_part`; the same picture is in two classes; a class has no window;
-        `split.groups` is not found in a recording's name; there are `scales` for recordings.
+        `split.groups` is not found in a recording's name; there are `scales` for recordings; or
+        as `table_data`.
     """
     choice = VolumeChoice(volume) if isinstance(volume, TNTConfig) else volume
+    if has_tables(Path(folder), PART):
+        if scales is not None:
+            rule = "must not be given with tables of boxes, which have sizes"
+            raise ParameterValueError("scales", rule, scales)
+        return table_data(
+            Path(folder),
+            choice,
+            pixels=pixels or Pixels(),
+            reading=reading or ReadOptions(),
+            split=split,
+            work=work,
+        )
     how = Reading(pixels or Pixels(), reading or ReadOptions(), work)
     picture_files = find_pictures(folder)
     dataset = read_part(folder, how, with_pictures=picture_files)

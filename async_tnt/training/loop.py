@@ -136,6 +136,10 @@ def _check(
                 f"{', '.join(classes)}, got {teacher.config.sensor} and classes "
                 f"{', '.join(teacher.classes)}"
             )
+    if data.training.recordings.boxes is not None and not settings.everywhere:
+        raise ParameterValueError(
+            "everywhere", "must be True for windows whose boxes are known", "False"
+        )
     if settings.everywhere and (start is not None or motions is not None or teachers):
         raise ValueError(
             "`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on "

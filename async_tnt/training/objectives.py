@@ -15,17 +15,23 @@ import torch
 from torch.nn import functional as F
 
 from async_tnt.base.checks import ParameterValueError
-from async_tnt.evaluation.object_scores import ObjectScores, score_objects
+from async_tnt.evaluation.object_scores import (
+    ObjectScores,
+    by_milliseconds,
+    moments_us,
+    score_objects,
+)
 from async_tnt.evaluation.scores import share_right
 from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import ObjectReader, n_of_boxes, new_tracks
 from async_tnt.training.augment import Draws, on_pixels, unchanged
-from async_tnt.training.evaluation import BATCH, class_probabilities, confusion_by_recording
+from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.networks import build_network
 from async_tnt.training.pipeline import Pipeline, pipeline_of
-from async_tnt.training.scenes import OF_RECORDING, SceneMaker, Scenes
+from async_tnt.training.scenes import OF_RECORDING, Scenes
 from async_tnt.training.settings import TrainSettings
+from async_tnt.training.table_scenes import maker_of
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
@@ -144,8 +150,6 @@ REACH = 0.15
 shorter side. The answer must be of the object's class."""
 N_SCENES = 400
 """Number of scenes in which a map model is scored, about."""
-SHARES = (0.3, 0.5)
-"""Moments at which scenes are scored besides a window's end, as shares of the window."""
 
 
 class SceneScores:
@@ -157,7 +161,7 @@ class SceneScores:
     model : a map model for scenes of these recordings. Its weights are not used.
     windows : the objects of the scenes. About `N_SCENES` scenes are made of them, or fewer if there
         are too few windows.
-    scenes : see `SceneMaker`. With it, an object is found within `REACH` of its own extent.
+    scenes : see `maker_of`. With it, an object is found within `REACH` of its own extent.
     """
 
     def __init__(
@@ -165,26 +169,31 @@ class SceneScores:
     ) -> None:
         assert model.places is not None
         self._classes = model.classes
-        self._maker = SceneMaker(crops, scenes)
+        self._maker = maker_of(crops, scenes, windows)
         self._reader = ObjectReader(model.logits_shape, len(model.classes))
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
-        n_windows = round(N_SCENES * self._maker.n_objects)
+        n_windows = round(N_SCENES * self._maker.n_windows)
         chosen = np.random.default_rng(0).permutation(len(windows))[:n_windows]
         self._windows = windows[chosen]
         self._within_px = REACH * min(crops.sensor)
         self._has_sizes = scenes is not None
 
-    def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
-        """The scores of a map model when this share of each window has passed."""
+    def after(self, pipeline: Pipeline, until_us: int | None = None) -> ObjectScores:
+        """The scores of a map model at a moment of the windows.
+
+        until_us : the moment, in microseconds since the windows' start; by default their end.
+        """
+        if until_us is None:
+            until_us = self._maker.config.window_us
         rng = np.random.default_rng(1)  # the same scenes at each call
         was_training = pipeline.training
         pipeline.eval()
         n_classes = len(self._classes)
         scores = ObjectScores(*np.zeros((3, n_classes), np.int64))
-        for first in range(0, len(self._windows), BATCH):
-            windows = self._windows[first : first + BATCH]
+        for first in range(0, len(self._windows), self._maker.at_once):
+            windows = self._windows[first : first + self._maker.at_once]
             draws = unchanged(len(windows), self._maker.crops)
-            draws.until_us[:] = round(share * self._maker.config.window_us)
+            draws.until_us[:] = until_us
             scenes = self._maker(windows, draws, rng)
             with torch.no_grad():
                 maps = pipeline.classify(torch.from_numpy(scenes.volumes)).cpu().numpy()
@@ -207,12 +216,13 @@ class SceneScores:
 
     def evaluate(self, pipeline: Pipeline) -> dict[str, Any]:
         """Score a map model at the windows' ends and before. Returns plain values, for JSON."""
-        at_end = self.after(pipeline, 1.0)
-        window_ms = self._maker.config.window_us / 1e3
-        early_f1 = {}
-        for share in SHARES:
-            early_f1[f"{share * window_ms:g}"] = round(self.after(pipeline, share).f1, 5)
-        return {**at_end.to_dict(self._classes), "f1_against_time_ms": early_f1}
+        *early_us, _ = moments_us(self._maker.config.window_us)
+        at_end = self.after(pipeline)
+        early_f1 = {us: round(self.after(pipeline, us).f1, 5) for us in early_us}
+        return {
+            **at_end.to_dict(self._classes),
+            "f1_against_time_ms": by_milliseconds(early_f1),
+        }
 
 
 def _extents(size: np.ndarray) -> np.ndarray:
@@ -270,11 +280,11 @@ class ObjectsInScenes:
     settings : how the model is trained.
     classes : names, one for each label from 0 on.
     scenes : how the events of scenes become volumes, if their objects have many sizes, see
-        `SceneMaker`.
+        `maker_of`.
 
     Raises
     ------
-    ValueError : as `SceneMaker`; the network of `settings` computes no map.
+    ValueError : as `check_volume`; the network of `settings` computes no map.
     """
 
     def __init__(
@@ -285,7 +295,7 @@ class ObjectsInScenes:
         classes: tuple[str, ...],
         scenes: TNTConfig | None = None,
     ) -> None:
-        self._maker = SceneMaker(config, scenes)
+        self._maker = maker_of(config, scenes, validation)
         self.config = self._maker.config
         with torch.random.fork_rng(devices=[]):
             network = build_network(
@@ -402,4 +412,4 @@ class ObjectsInScenes:
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
         """F1 in held-out scenes, for the history; empty if nothing is held out."""
-        return {} if self._scorer is None else {"f1": self._scorer.after(pipeline, 1.0).f1}
+        return {} if self._scorer is None else {"f1": self._scorer.after(pipeline).f1}

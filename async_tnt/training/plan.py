@@ -11,7 +11,13 @@ from async_tnt.training.networks import find_network
 from async_tnt.training.pipeline import check_network
 from async_tnt.training.run_folder import load_checkpoint
 from async_tnt.training.scenes import SceneMaker
-from async_tnt.training.settings import OF_PICTURES, OF_SCALES, TrainSettings, settings_for
+from async_tnt.training.settings import (
+    BATCH_OF_TABLES,
+    OF_PICTURES,
+    OF_SCALES,
+    TrainSettings,
+    settings_for,
+)
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.volume_choice import VolumeChoice
 from async_tnt.volume.config import TNTConfig
@@ -32,6 +38,7 @@ class Plan:
     mirror : whether half of the windows are mirrored from left to right.
     has_pictures : whether the data set holds pictures.
     scales : sizes of objects, see `dataset_data`.
+    has_tables : whether the data set has tables of boxes.
     """
 
     volume: VolumeChoice
@@ -42,6 +49,12 @@ class Plan:
     mirror: bool = False
     has_pictures: bool = False
     scales: tuple[float, float] | None = None
+    has_tables: bool = False
+
+    @property
+    def _has_sizes(self) -> bool:
+        """Whether the sizes of objects are known, so that scenes have objects of many sizes."""
+        return self.scales is not None or self.has_tables
 
     def check(self) -> None:
         """Refuse a network that does not fit the volume.
@@ -99,8 +112,10 @@ class Plan:
         if self.has_pictures:
             augmentation |= OF_PICTURES
         chosen: dict[str, Any] = {}
-        if self.scales is not None:
+        if self._has_sizes:
             chosen["network"] = OF_SCALES
+        if self.has_tables:
+            chosen["batch"] = BATCH_OF_TABLES
         if self.network is not None:
             chosen["network"] = self.network
         return settings_for(
@@ -119,7 +134,7 @@ class Plan:
         The sensor of scenes of objects of many sizes may not be known yet. Any grid that has twice
         as many steps as it needs stands for theirs.
         """
-        if self.scales is None:
+        if not self._has_sizes:
             return SceneMaker(config).config if self.everywhere else config
         if "grid" not in self.volume.fitted:
             return config

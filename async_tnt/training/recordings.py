@@ -28,6 +28,13 @@ BLOCK = 1 << 22
 """Number of events that are copied at a time."""
 
 
+BOX_DTYPE = np.dtype(
+    [("recording", np.int64), ("label", np.int64), ("middle", "2f8"), ("size", "2f8")]
+)
+"""A box: the recording that shows it, the class of its object, (x, y) of its middle, and its width
+and height, in sensor pixels."""
+
+
 @dataclass(frozen=True)
 class Recordings:
     """R recordings, one after the other.
@@ -45,6 +52,9 @@ class Recordings:
         M moments from 0 to `outlined_us`, evenly spread. nan: the outline of this recording is not
         known. None: no outline is known.
     outlined_us : int64, (R,), microseconds; None without outlines.
+    boxes : structured array of `BOX_DTYPE`, ordered by recording: what each recording shows at its
+        end, if recordings are windows whose objects are known. The label of a recording is then
+        that of one of its boxes. None: each recording shows one object of its class.
     """
 
     t: np.ndarray
@@ -56,9 +66,22 @@ class Recordings:
     names: tuple[str, ...]
     outlines: np.ndarray | None = None
     outlined_us: np.ndarray | None = None
+    boxes: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    def boxes_of(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The boxes of N recordings with the numbers `which`, which may repeat.
+
+        Returns, for each box, the place of its recording in `which`, int64, (K,); and the boxes.
+        """
+        assert self.boxes is not None
+        first = np.searchsorted(self.boxes["recording"], which)
+        n = np.searchsorted(self.boxes["recording"], which, side="right") - first
+        places = np.repeat(np.arange(len(which)), n)
+        within = np.arange(len(places)) - np.repeat(np.cumsum(n) - n, n)
+        return places, self.boxes[first[places] + within]
 
     @cached_property
     def middles(self) -> np.ndarray:
@@ -81,6 +104,8 @@ class Recordings:
         offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
         if self.outlines is not None or other.outlines is not None:
             raise ValueError("recordings with outlines cannot be added")
+        if self.boxes is not None or other.boxes is not None:
+            raise ValueError("recordings with boxes cannot be added")
         return Recordings(**columns, offsets=offsets, names=self.names + other.names)
 
     @classmethod

@@ -148,7 +148,7 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
     if validation.recordings is not training.recordings:
         recordings.append(validation.recordings)
     for columns in recordings:
-        for name in ("offsets", *COLUMNS, "outlines"):
+        for name in ("offsets", *COLUMNS, "outlines", "boxes"):
             column = getattr(columns, name)
             if column is None:
                 continue

@@ -69,6 +69,8 @@ TRIES = 20
 BESIDE = 0.5
 """Share of objects that are placed beside another object, so that some overlap. The distance is at
 most a recording's shorter side, in x and in y."""
+AT_ONCE = 64
+"""Number of windows that are made to scenes at a time when a model is scored."""
 NOISE_HZ = (0.1, 0.9)
 """Range of the noise, in events per pixel and second."""
 HOT_EVENTS = (20, 300)
@@ -162,27 +164,22 @@ class SceneMaker:
     ----------
     config : how the scenes' events become volumes.
     crops : how the recordings' events become volumes.
-    n_objects : average number of objects in a scene.
+    n_windows : average number of windows that a scene is made of: its objects.
+    at_once : number of windows that are made to scenes at a time when a model is scored.
 
     Raises
     ------
-    ValueError : `config` has a transform, volumes that are no sums over events, or windows of a
-        number of events.
+    ValueError : as `check_volume`.
     """
 
+    at_once = AT_ONCE
+
     def __init__(self, config: TNTConfig, scenes: TNTConfig | None = None) -> None:
-        if config.last_events is not None:
-            rule = "must have windows of a duration, as a scene holds those of several objects"
-            raise ParameterValueError("config", rule, f"last_events={config.last_events}")
-        if config.transform != "none" or config.representation not in ("volume", "count"):
-            raise ValueError(
-                "a scene is a sum of volumes: `representation` must be volume or count, and "
-                f"`transform` none; got {config.representation} and {config.transform}"
-            )
+        check_volume(config)
         self.crops = config
         self.config = scenes_of(config) if scenes is None else scenes
         self._has_sizes = scenes is not None
-        self.n_objects = OBJECTS if scenes is None else OBJECTS_OF_SIZES
+        self.n_windows = OBJECTS if scenes is None else OBJECTS_OF_SIZES
         self._crop_volumes = BatchVolumes(config)
         self._scene_volumes = BatchVolumes(self.config)
         self._shorter = min(config.sensor)
@@ -197,7 +194,7 @@ class SceneMaker:
         # becomes a recording of its own, without these events.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
         windows = windows.cut(self.config.window_us)
-        scene = rng.integers(max(1, round(n / self.n_objects)), size=n)  # each window's scene
+        scene = rng.integers(max(1, round(n / self.n_windows)), size=n)  # each window's scene
         n_scenes = int(scene.max()) + 1
         # each scene ends when a window drawn at random would end
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
@@ -348,6 +345,24 @@ class SceneMaker:
         noise = Recordings.from_events(recordings, [0] * n_scenes)
         windows = Windows(noise, np.arange(n_scenes), np.zeros(n_scenes, np.int64))
         return self._scene_volumes(windows).copy()
+
+
+def check_volume(config: TNTConfig) -> None:
+    """Refuse volumes of which no scenes can be made.
+
+    Raises
+    ------
+    ValueError : `config` has a transform, volumes that are no sums over events, or windows of a
+        number of events.
+    """
+    if config.last_events is not None:
+        rule = "must have windows of a duration, as a scene holds those of several objects"
+        raise ParameterValueError("config", rule, f"last_events={config.last_events}")
+    if config.transform != "none" or config.representation not in ("volume", "count"):
+        raise ValueError(
+            "a scene is a sum of volumes: `representation` must be volume or count, and "
+            f"`transform` none; got {config.representation} and {config.transform}"
+        )
 
 
 def scenes_of(config: TNTConfig) -> TNTConfig:

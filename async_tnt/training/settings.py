@@ -60,6 +60,9 @@ because in scenes "nothing" is far more frequent than any class anyway."""
 OF_SCALES = "pyramid"
 """The default network of a map model that learns objects of many sizes."""
 
+BATCH_OF_TABLES = 16
+"""Number of windows per step for recordings with tables of boxes. They are of the whole sensor."""
+
 LONGER_SIDE = 120
 """Most cells along the longer side of a default grid."""
 BINS = 5

@@ -32,7 +32,7 @@ class TrainingData:
     left_out : the recordings that were left out and why, one line each.
     notes : what else a user should know, one line each.
     scenes : how the events of scenes become volumes, if scenes have objects of many sizes, see
-        `scenes.SceneMaker`.
+        `table_scenes.maker_of`.
     """
 
     config: TNTConfig

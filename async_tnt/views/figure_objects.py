@@ -1,6 +1,7 @@
 """Draw what a map model finds at some moments.
 
-Each picture has the events of the open window, and a circle and a name for each object.
+Each picture has the events of the open window, and for each object its box, or a circle, with its
+class, its id and its probability.
 """
 
 from __future__ import annotations
@@ -53,7 +54,12 @@ def draw_window_objects(window: Window, model: Model) -> Figure:
     # the last part is empty, because no event is after the window
     parts = np.split(events, stops)[:-1]
     for part, end_us in zip(parts, ends_us, strict=True):
-        processor.push(part)
+        processor.push(part[:-1])
+        # `fire` has no effect on later ids. So that objects keep theirs from panel to panel, there
+        # is a decision at the last event before each.
+        processor.every_events = 1
+        processor.push(part[-1:])
+        processor.every_events = None
         decisions.append(processor.fire(at_us=end_us - 1))
     titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
     subject = window.subject
@@ -98,13 +104,14 @@ def draw_objects(
 
 
 def _draw_object(axes: Any, item: Object, *, words_left: bool) -> None:
-    """Draw an object's box, or a circle without one, with class and probability beside it."""
+    """Draw an object's box, or a circle without one, with class, id and probability beside it."""
     if item.box is None:
         axes.plot(item.x, item.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
     else:
         x0, y0, x1, y1 = item.box
         axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], "-", color=TEXT, lw=0.9)
-    for text, points_up, size in ((item.label, 7, 13), (f"{item.probability:.2f}", -4, 7)):
+    second_line = f"id {item.id}, {item.probability:.2f}"
+    for text, points_up, size in ((item.label, 7, 13), (second_line, -4, 7)):
         axes.annotate(
             text,
             (item.x, item.y),

@@ -83,16 +83,15 @@ class DecisionLog:
         """Log the objects of the open window: their boxes, or points if the model says no sizes."""
         rr = self._rr
         boxes = [item.box for item in objects if item.box is not None]
+        names = [f"{item.id}: {item.label} {item.probability:.2f}" for item in objects]
         if boxes:
             self._has_boxes = True
-            names = [f"{item.id}: {item.label} {item.probability:.2f}" for item in objects]
             self._stream.log(OBJECTS, boxes_at(rr, boxes, names))
         elif self._has_boxes:  # there are none now
             self._stream.log(OBJECTS, boxes_at(rr, [], []))
         else:
             places = [(item.x, item.y) for item in objects]
-            labels = [f"{item.label} {item.probability:.2f}" for item in objects]
-            self._stream.log(OBJECTS, points_at(rr, places, 6.0, labels))
+            self._stream.log(OBJECTS, points_at(rr, places, 6.0, names))
 
     def _name_classes(self) -> None:
         """Log the names of the classes, once they are known."""

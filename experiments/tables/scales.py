@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from experiments.tables.decisions import box_cost
-from experiments.tables.parts import of_report, results, table
+from experiments.tables.parts import of_report, percent, results, table
 
 COCO = {"map_50": "mAP .5", "map": "mAP", "map_75": "mAP .75"}
 """Name of a score -> its title."""
@@ -77,6 +79,43 @@ def object_kinds(report: dict[str, Any]) -> str:
         of_kinds = [model["scores"][sensor]["f1_of_kinds"] for model in models]
         rows.append([sensor, *(_three([one[kind] for one in of_kinds]) for kind in kinds)])
     return table(["sensor", *kinds], rows)
+
+
+@of_report("object_scales")
+def object_mistakes(report: dict[str, Any]) -> str:
+    """A table of the objects that are found, and found as their kind, by size."""
+    rows = []
+    for sensor in report["scenes"]:
+        shorter = int(sensor.split("x")[1])
+        of_models = [model["scores"][sensor]["mistakes"] for model in report["models"]]
+        counts = {
+            name: np.sum([one[name] for one in of_models], axis=0)
+            for name in ("objects", "found", "right")
+        }
+        limits = [f"{edge * shorter:.0f}" for edge in of_models[0]["edges"]]
+        parts = [f"below {limits[0]} px"]
+        parts += [f"{low} to {high} px" for low, high in pairwise(limits)]
+        parts.append(f"{limits[-1]} px and more")
+        for k, part in enumerate(parts):
+            n = counts["objects"][k]
+            shares = [percent(counts[name][k] / n) for name in ("found", "right")]
+            rows.append([sensor, part, f"{n / len(of_models):.0f}", *shares])
+    return table(["sensor", "longer side", "objects", "a box of any kind", "of its kind"], rows)
+
+
+@of_report("object_scales")
+def object_mistaken(report: dict[str, Any]) -> str:
+    """A table of the kinds that are taken for others most often, on the first sensor."""
+    sensor = next(iter(report["scenes"]))
+    totals: Counter[tuple[str, str]] = Counter()
+    for model in report["models"]:
+        for pair in model["scores"][sensor]["mistakes"]["mistaken"]:
+            totals[pair["kind"], pair["taken_for"]] += pair["objects"]
+    rows = [
+        [kind, other, f"{n / len(report['models']):.1f}"]
+        for (kind, other), n in totals.most_common(6)
+    ]
+    return table(["kind", "taken for", "objects, a network"], rows)
 
 
 def object_cost() -> str:

@@ -28,27 +28,29 @@ class FoundObject(NamedTuple):
 
 
 def box_overlap(
-    place: torch.Tensor,
-    size: torch.Tensor,
-    other_place: torch.Tensor,
-    other_size: torch.Tensor,
+    place: torch.Tensor, size: torch.Tensor, other_place: torch.Tensor, other_size: torch.Tensor
 ) -> torch.Tensor:
     """The area that two boxes share, divided by the area that they cover; 0 without areas.
 
-    Each box has a middle (x, y) and a size (width, height): tensors (..., 2), which broadcast.
+    Each box has a middle (x, y) and a size (width, height): float64, (..., 2). Of (N, 1, 2) and
+    (K, 2) the overlaps of all pairs are computed, (N, K).
 
     Example
     -------
-    >>> place = torch.tensor([[0.0, 0.0], [4.0, 0.0]])
-    >>> size = torch.tensor([8.0, 8.0])
-    >>> box_overlap(place, size, place[0], size)
-    tensor([1.0000, 0.3333])
+    >>> middle, side = torch.zeros(2).double(), torch.full((2,), 8.0).double()
+    >>> float(box_overlap(middle, side, middle + torch.tensor([4.0, 0.0]), side))
+    0.3333333333333333
     """
     upper = torch.minimum(place + size / 2, other_place + other_size / 2)
     lower = torch.maximum(place - size / 2, other_place - other_size / 2)
     shared = (upper - lower).clamp(min=0).prod(-1)
     covered = size.prod(-1) + other_size.prod(-1) - shared
     return torch.where(covered > 0, shared / covered, 0.0)
+
+
+def _pairs(pairs: Sequence[tuple[float, float]]) -> torch.Tensor:
+    """Float64, (N, 2)."""
+    return torch.tensor(pairs, dtype=torch.float64).reshape(-1, 2)
 
 
 def boxes_on_map(
@@ -83,18 +85,18 @@ def boxes_on_map(
     n = 4 if has_places else 2
     boxes = maps[-n:].double().clamp(-10, 10)
     places = boxes[2:] if has_places else None
-    scaled = torch.tensor(scale, dtype=torch.float64)
-    kept: list[FoundObject] = []
-    for found in objects_on_map(maps[:-n], near, boxes[:2].exp(), places):
-        others = [other[2:] for other in kept if other.label == found.label]
-        place, size = torch.tensor(found[2:], dtype=torch.float64).split(2)
-        other = torch.tensor(others, dtype=torch.float64).reshape(-1, 4)
-        overlaps = box_overlap(
-            place * scaled, size * scaled, other[:, :2] * scaled, other[:, 2:] * scaled
-        )
-        if (overlaps <= most_overlap).all():
-            kept.append(found)
-    return kept
+    objects = objects_on_map(maps[:-n], near, boxes[:2].exp(), places)
+    numbers = torch.tensor(objects, dtype=torch.float64).reshape(-1, len(FoundObject._fields))
+    middle = numbers[:, 2:4] * _pairs([scale])
+    size = numbers[:, 4:] * _pairs([scale])
+    overlaps = box_overlap(middle[:, None], size[:, None], middle, size)
+    is_same_class = numbers[:, None, 0] == numbers[:, 0]
+    excludes = ((overlaps > most_overlap) & is_same_class).tolist()
+    kept: list[int] = []
+    for i in range(len(objects)):
+        if not any(excludes[i][k] for k in kept):
+            kept.append(i)
+    return [objects[i] for i in kept]
 
 
 def objects_on_map(
@@ -132,28 +134,35 @@ def objects_on_map(
     """
     z = logits.double()
     s = z[:-1].amax(0) - z[-1]  # (R, C)
-    rows, columns = s.shape
-    side = 2 * near + 1
-    padded = F.pad(s[None, None], [near] * 4, value=-torch.inf)
-    windows = F.unfold(padded, side).reshape(side * side, rows, columns)
-    n_before = side * side // 2  # places of a window before its middle
+    windows = _around(s, near, -torch.inf)
+    n_before = len(windows) // 2  # places of a window before its middle
     is_peak = (s > 0) & (windows[:n_before] < s).all(0) & (windows[n_before + 1 :] <= s).all(0)
-    probabilities = torch.softmax(z, 0)
-    objects = []
-    for row, column in is_peak.nonzero().tolist():
-        ys = torch.arange(max(0, row - 1), min(rows, row + 2))
-        xs = torch.arange(max(0, column - 1), min(columns, column + 2))
-        weights = s[ys][:, xs].clamp(min=0)
-        index = int(z[:-1, row, column].argmax())
-        place_x = float((weights.sum(0) * xs).sum() / weights.sum())
-        place_y = float((weights.sum(1) * ys).sum() / weights.sum())
-        probability = float(probabilities[index, row, column])
-        if places is not None:
-            place_x = column + float(places[0, row, column])
-            place_y = row + float(places[1, row, column])
-        width, height = (0.0, 0.0) if sizes is None else sizes[:, row, column].tolist()
-        objects.append(FoundObject(index, probability, place_x, place_y, width, height))
+    rows, columns = is_peak.nonzero().T
+
+    label = z[:-1, rows, columns].argmax(0)
+    probability = torch.softmax(z[:, rows, columns], 0).gather(0, label[None])[0]
+    weights = _around(s.clamp(min=0), 1, 0.0)[:, rows, columns]  # (9, N)
+    down, right = torch.meshgrid(torch.arange(-1, 2), torch.arange(-1, 2), indexing="ij")
+    place_x = (weights * (columns + right.reshape(9, 1))).sum(0) / weights.sum(0)
+    place_y = (weights * (rows + down.reshape(9, 1))).sum(0) / weights.sum(0)
+    if places is not None:
+        place_x, place_y = torch.stack([columns, rows]) + places[:, rows, columns]
+    size = torch.zeros(2, len(rows)) if sizes is None else sizes[:, rows, columns]
+
+    fields = (label, probability, place_x, place_y, *size)
+    found = zip(*(field.tolist() for field in fields), strict=True)
+    objects = [FoundObject(*one) for one in found]
     return sorted(objects, key=lambda found_object: -found_object.probability)
+
+
+def _around(s: torch.Tensor, near: int, border: float) -> torch.Tensor:
+    """The values at and around each place, row by row: ((2 near + 1)^2, R, C) of (R, C).
+
+    border : the value around the map.
+    """
+    side = 2 * near + 1
+    padded = F.pad(s[None, None], [near] * 4, value=border)
+    return F.unfold(padded, side).reshape(side * side, *s.shape)
 
 
 class _KnownObject(NamedTuple):
@@ -231,53 +240,55 @@ class ObjectNumbers:
 
         sizes : the width and height of their boxes; None: they have none.
         """
-        known = [known for known in self.known if time_us - known.time_us <= self.memory_us]
+        free_objects = [known for known in self.known if time_us - known.time_us <= self.memory_us]
         if sizes is None:
             sizes = [(0.0, 0.0)] * len(places)
-        overlaps, distances = self._compared(places, sizes, known)
-        is_free = torch.ones(len(known), dtype=torch.bool)
+        overlaps = self._overlaps(free_objects, places, sizes)
         current_objects = []
-        for rank, (x, y) in enumerate(places):
-            near: list[int] = []
-            if rank < self.most and is_free.any():
-                overlap = overlaps[rank]
-                is_most = is_free & (overlap == overlap[is_free].max())
-                near = (is_most & ((overlap > 0) | (distances[rank] < 1))).nonzero()[:, 0].tolist()
+        for rank, ((x, y), size) in enumerate(zip(places, sizes, strict=True)):
+            near: list[_KnownObject] = []
+            if rank < self.most and free_objects:
+                most_overlap = max(overlaps[rank][known.number] for known in free_objects)
+                near = [
+                    known for known in free_objects if overlaps[rank][known.number] == most_overlap
+                ]
+                if most_overlap == 0:
+                    near = [known for known in near if self._distance(known, x, y) < 1]
             number = self.next_number
             if near:
-                distance = distances[rank].tolist()
-                nearest = min(near, key=lambda k: (distance[k], -known[k].decision, known[k].rank))
-                is_free[nearest] = False
-                number = known[nearest].number
+                nearest = min(near, key=lambda known: self._preference(known, x, y))
+                free_objects.remove(nearest)
+                number = nearest.number
             else:
                 self.next_number += 1
-            current = _KnownObject(number, x, y, time_us, self.decision, rank, sizes[rank])
+            current = _KnownObject(number, x, y, time_us, self.decision, rank, size)
             current_objects.append(current)
-        not_found = [known[k] for k in is_free.nonzero()[:, 0].tolist()]
-        earlier = sorted(not_found, key=lambda known: (-known.decision, known.rank))
+        earlier = sorted(free_objects, key=lambda known: (-known.decision, known.rank))
         self.known = (current_objects[: self.most] + earlier)[: self.room]
         self.decision += 1
-        return [current.number for current in current_objects]
+        return [known.number for known in current_objects]
 
-    def _compared(
-        self,
+    @staticmethod
+    def _overlaps(
+        known_objects: Sequence[_KnownObject],
         places: Sequence[tuple[float, float]],
         sizes: Sequence[tuple[float, float]],
-        known: Sequence[_KnownObject],
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """How much the box of each object overlaps with that of each known one; their distances.
+    ) -> list[dict[int, float]]:
+        """For each object of a decision: number of a known object -> the overlap of their boxes."""
+        known_places = [(known.x, known.y) for known in known_objects]
+        overlaps = box_overlap(
+            _pairs(places)[:, None],
+            _pairs(sizes)[:, None],
+            _pairs(known_places),
+            _pairs([known.size for known in known_objects]),
+        )
+        numbers = [known.number for known in known_objects]
+        return [dict(zip(numbers, of_object, strict=True)) for of_object in overlaps.tolist()]
 
-        Distances are squared, in units of the reach. Two tensors of shape (objects, known objects).
-        """
-        place = _pairs(places)[:, None]
-        size = _pairs(sizes)[:, None]
-        known_place = _pairs([(one.x, one.y) for one in known])
-        known_size = _pairs([one.size for one in known])
-        reach = torch.tensor(self.reach, dtype=torch.float64)
-        distances = (((place - known_place) / reach) ** 2).sum(-1)
-        return box_overlap(place, size, known_place, known_size), distances
+    def _preference(self, known: _KnownObject, x: float, y: float) -> tuple[float, int, int]:
+        """A key of a known object: an object at (x, y) takes the number with the lowest key."""
+        return self._distance(known, x, y), -known.decision, known.rank
 
-
-def _pairs(numbers: Sequence[tuple[float, float]]) -> torch.Tensor:
-    """Pairs of numbers as a tensor (N, 2), float64."""
-    return torch.tensor(numbers, dtype=torch.float64).reshape(-1, 2)
+    def _distance(self, known: _KnownObject, x: float, y: float) -> float:
+        """The squared distance, in units of the reach."""
+        return float(((x - known.x) / self.reach[0]) ** 2 + ((y - known.y) / self.reach[1]) ** 2)

@@ -10,7 +10,8 @@ from made import events_of
 from torch import nn
 
 from async_tnt import Model, TNTConfig, load_model
-from async_tnt.evaluation.box_scores import CONVENTIONS, SCORES, FoundBoxes
+from async_tnt.evaluation.box_conventions import CONVENTIONS
+from async_tnt.evaluation.box_scores import SCORES, FoundBoxes
 from async_tnt.evaluation.object_tables import ObjectTable
 
 pytest.importorskip("pycocotools", reason="needs the extra `boxes`")
@@ -86,17 +87,18 @@ def test_without_boxes():
 @pytest.mark.parametrize(
     "name, counted",
     [
-        ("all", [True] * 6),
-        ("gen1", [False, True, True, False, True, False]),
-        ("1mpx", [False, True, False, False, False, False]),
+        ("all", [True] * 8),
+        ("gen1", [False, True, True, False, True, False, True, False]),
+        ("1mpx", [False, True, False, False, False, False, False, False]),
     ],
 )
 def test_what_counts(name, counted):
-    """A box too early; a large one; one of 12 x 40; one of 9 x 200; 25 x 25; 12 x 12 pixels."""
-    t = np.array([499_999, *[500_000] * 5])
-    width = np.array([99.0, 99, 12, 9, 25, 12])
-    height = np.array([99.0, 99, 40, 200, 25, 12])
+    """A box at half a second; then, later, a large one, and boxes of several sizes and a point."""
+    t = np.array([500_000, *[500_001] * 7])
+    width = np.array([99.0, 99, 12, 9, 25, 12, 18, 0])
+    height = np.array([99.0, 99, 40, 200, 25, 12, 24, 0])  # 18 x 24: a diagonal of 30
     assert CONVENTIONS[name].counts(t, width, height).tolist() == counted
+    assert CONVENTIONS["all"].counts(np.zeros(1), np.zeros(1), np.zeros(1)).all()
 
 
 @pytest.fixture
@@ -125,12 +127,21 @@ def test_the_command(recording, program):
     report = json.loads(out)
     assert code == 0 and report["f1"] == 0.66667
     assert report["coco"]["map"] == pytest.approx(0.5)  # one class of two
-    assert set(report["coco_against_time_ms"]) == {"0.3", "0.5", "1"}
+    assert report["coco_against_time_ms"] == {"1": report["coco"]}  # a window of 1 ms
     _, out, _ = program("evaluate", *recording)
     assert "mAP .5" in out and "0.500" in out.splitlines()[-1]
-    # of Gen1 only larger boxes count
-    _, out, _ = program("evaluate", *recording, "--boxes", "gen1")
-    assert out.splitlines()[-1] == "no scores of boxes: the tables have no boxes that count"
+
+
+def test_conventions_need_sizes(recording, program):
+    """Neither a model that finds points nor one of classes can leave out found boxes."""
+    model, folder = recording
+    loaded = load_model(model)
+    net = nn.Conv2d(2, 3, 1)
+    Model.from_torch(nn.Sequential(net), loaded.config, loaded.classes).save(model)
+    code, _, err = program("evaluate", model, folder, "--boxes", "gen1")
+    assert code == 2 and "says no sizes of objects, by which --boxes gen1 leaves some out" in err
+    code, _, err = program("evaluate", "digits", folder, "--boxes", "1mpx")
+    assert code == 2 and "digits finds no objects, for which --boxes 1mpx is" in err
 
 
 def test_a_recording_that_is_skipped_has_no_boxes(recording, program):

@@ -7,6 +7,7 @@ import json
 import re
 import tracemalloc
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from made import events_of
 from torch import nn
 
 from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
-from async_tnt.evaluation.object_scores import score_objects, score_recording
+from async_tnt.evaluation.object_scores import moments_us, score_objects, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, read_table
 from async_tnt.kernels.decisions.objects import FOUND_SIZE, X, Y
 from async_tnt.sources import READERS
@@ -71,6 +72,27 @@ def folder(tmp_path):
     return tmp_path
 
 
+SLOW = 50
+"""How many times as long recordings and windows are, so that they reach early moments: 50 ms."""
+
+
+@pytest.fixture(scope="module")
+def slow(saved, tmp_path_factory):
+    """The same model with windows of 50 ms."""
+    model = load_model(saved)
+    config = CONFIG.replace(window_us=SLOW * CONFIG.window_us)
+    return replace(model, config=config).save(tmp_path_factory.mktemp("slow") / "m.safetensors")
+
+
+def slowed(rows):
+    """Rows that begin with a time, SLOW times as late."""
+    return [(SLOW * t, *more) for t, *more in rows]
+
+
+def write_events(path, rows):
+    np.savez(path, sensor=CONFIG.sensor, events=events_of(*np.array(rows).T))
+
+
 def write_points(path, rows=TRUTH, head="t,class,x,y"):
     path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]))
 
@@ -84,13 +106,14 @@ def write_boxes(path, rows=TRUTH):
 @pytest.mark.parametrize(
     "write, name", [(write_points, "a_td_objects.csv"), (write_boxes, "a_bbox.npy")]
 )
-def test_counts_by_hand(folder, saved, program, write, name):
-    """At 6000 three objects are there and three are found, two of them rightly.
+def test_counts_by_hand(folder, slow, program, write, name):
+    """At 300 ms three objects are there and three are found, two of them rightly.
 
-    After .3 of the window one is found. At 9900 one is there and found.
+    At 495 ms one is there and found. After 10 and 30 ms of either window one is found.
     """
-    write(folder / name)
-    code, out, _ = program("evaluate", saved, folder, "--json")
+    write_events(folder / "a_td.npz", slowed(EVENTS))
+    write(folder / name, slowed(TRUTH))
+    code, out, _ = program("evaluate", slow, folder, "--json")
     report = json.loads(out)
     assert code == 0
     assert report["per_class"]["on"] == {"f1": 0.66667, "objects": 3, "found": 3, "right": 2}
@@ -99,15 +122,30 @@ def test_counts_by_hand(folder, saved, program, write, name):
     assert report["recordings"] == 1
     assert report["moments"] == 2
     assert report["precision"] == report["recall"] == report["f1"] == 0.75
-    assert report["f1_against_time_ms"] == {
-        "0.3": round(4 / 6, 5),
-        "0.5": round(4 / 6, 5),
-        "1": 0.75,
-    }
-    assert "F1 0.7500: 0.7500 of 4 objects found are right" in program("evaluate", saved, folder)[1]
-    write_points(folder / "a_td_objects.csv", [(6000, "on", -1, 5)])
-    _, _, err = program("evaluate", saved, folder)
+    early = round(4 / 6, 5)
+    assert report["f1_against_time_ms"] == {"10": early, "30": early, "50": 0.75}
+    out = program("evaluate", slow, folder)[1]
+    assert "F1 0.7500: 0.7500 of 4 objects found are right" in out
+    rows = [line.split() for line in out.split("ms into the window")[1].splitlines()[1:4]]
+    assert rows == [["10", "0.667"], ["30", "0.667"], ["50", "0.750"]]
+    write_points(folder / "a_td_objects.csv", [(SLOW * 6000, "on", -1, 5)])
+    _, _, err = program("evaluate", slow, folder)
     assert "off the sensor cannot be found: 1; is the table in" in err
+
+
+@pytest.mark.parametrize(
+    ("window_us", "moments"),
+    [
+        (105_000, [10, 30, 50, 100, 105]),
+        (100_000, [10, 30, 50, 100]),
+        (50_000, [10, 30, 50]),
+        (10_001, [10, 10.001]),
+        (10_000, [10]),
+        (800, [0.8]),
+    ],
+)
+def test_moments_lie_inside_a_window_and_at_its_end(window_us, moments):
+    assert moments_us(window_us) == tuple(round(1000 * ms) for ms in moments)
 
 
 def test_recordings_are_read_by_the_options(folder, saved, program):
@@ -122,20 +160,22 @@ def test_recordings_are_read_by_the_options(folder, saved, program):
     assert code == 0 and json.loads(out) == expected
 
 
-def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, program):
+def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, slow, program):
     """Two recordings differ in what is there, found and right; a third one cannot be read."""
-    write_points(folder / "a_td_objects.csv")
-    alone = [json.loads(program("evaluate", saved, folder, "--json")[1])]
+    write_events(folder / "a_td.npz", slowed(EVENTS))
+    write_points(folder / "a_td_objects.csv", slowed(TRUTH))
+    alone = [json.loads(program("evaluate", slow, folder, "--json")[1])]
     other = folder.parent / "other"
     other.mkdir()
-    np.savez(other / "b.npz", sensor=CONFIG.sensor, events=events_of(*np.array(EVENTS[10:30]).T))
-    write_points(other / "b_objects.csv", [(6000, "off", 50, 30), (6000, "off", 5, 5)])
-    alone.append(json.loads(program("evaluate", saved, other, "--json")[1]))
+    write_events(other / "b.npz", slowed(EVENTS[10:30]))
+    two = [(6000, "off", 50, 30), (6000, "off", 5, 5)]
+    write_points(other / "b_objects.csv", slowed(two))
+    alone.append(json.loads(program("evaluate", slow, other, "--json")[1]))
     for path in other.iterdir():
         path.rename(folder / path.name)
     (folder / "c.npz").write_bytes(b"damaged")
     write_points(folder / "c_objects.csv")
-    report = json.loads(program("evaluate", saved, folder, "--json")[1])
+    report = json.loads(program("evaluate", slow, folder, "--json")[1])
     for name in ("objects", "found", "recordings", "moments"):
         assert report[name] == sum(one[name] for one in alone), name
     for kind in ("on", "off"):
@@ -145,7 +185,7 @@ def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, progr
             ), (kind, name)
     assert len(report["skipped"]) == 1 and "c.npz" in report["skipped"][0]
     at = {
-        ms: round(2 * right / n, 5) for ms, right, n in [("0.3", 2, 8), ("0.5", 2, 8), ("1", 4, 12)]
+        ms: round(2 * right / n, 5) for ms, right, n in [("10", 2, 8), ("30", 2, 8), ("50", 4, 12)]
     }
     assert report["f1_against_time_ms"] == at
 
@@ -310,19 +350,18 @@ def clusters(rng, n=45):
         x = rng.integers(0, 64)
         y = rng.integers(0, 40)
         p = rng.integers(0, 2)
-        rows += [(t + 100 * int(rng.integers(0, 5)), x, y, p) for _ in range(12)]
+        spread = rng.integers(1, 6)
+        rows += [(t + 100 * int(rng.integers(0, spread)), x, y, p) for _ in range(12)]
     rows.sort(key=lambda row: row[0] + rng.integers(0, 150))
     return events_of(*np.array(rows).T)
 
 
-def scored_by_hand(model, events, rows, share):
-    """(there, found, right) of each class: each moment by itself, matched in plain Python."""
+def scored_by_hand(model, events, rows, until_us):
+    """(there, found, right) of each class: each window by itself, matched in plain Python."""
     counts = np.zeros((3, 2), int)
     for end_us in sorted({row[0] for row in rows}):
-        start_us = end_us - CONFIG.window_us
-        inside = events[
-            (events["t"] >= start_us) & (events["t"] < start_us + share * CONFIG.window_us)
-        ]
+        start_us = end_us - model.config.window_us
+        inside = events[(events["t"] >= start_us) & (events["t"] < start_us + until_us)]
         inside = inside[np.argsort(inside["t"], kind="stable")]
         inside["t"] -= start_us
         processor = Processor(model, start_us=0)
@@ -346,13 +385,15 @@ def scored_by_hand(model, events, rows, share):
 
 @pytest.mark.parametrize("packet_events", [1, 37, 100_000])
 @pytest.mark.parametrize("order", ["sorted", "late events", "backwards"])
-def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_events):
-    """Moments closer together than a window, several objects at one, and a table in no order.
+@pytest.mark.parametrize("slides", [False, True])
+def test_scores_are_those_of_windows_cut_by_hand(slow, tmp_path, order, packet_events, slides):
+    """Times closer together than a window, several objects at one, and a table in no order.
 
-    They depend neither on the order of the events nor on packets.
+    They depend neither on the order of the events nor on packets, nor on whether windows slide.
+    Some events lie exactly at the moments after 10, 30 and 50 ms of a window.
     """
     rng = np.random.default_rng(4)
-    model = load_model(saved)
+    model = load_model(slow)
     events = clusters(rng)
     in_time = events[np.argsort(events["t"], kind="stable")]
     events = {"sorted": in_time, "late events": events, "backwards": in_time[::-1]}[order]
@@ -362,20 +403,25 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_
         beside_y = int(np.clip(y + rng.integers(-4, 5), 0, 39))
         later_us = 100 * int(rng.integers(1, 10))
         rows.append((t + later_us, ("off", "on")[p], beside_x, beside_y))
+    events["t"] *= SLOW
+    rows = slowed(rows)
     np.savez(tmp_path / "a.npz", sensor=CONFIG.sensor, events=events)
     write_points(tmp_path / "a_objects.csv", rows)
     recording = open_recording(tmp_path / "a.npz", packet_events=packet_events)
-    found = score_recording(model, recording, read_table(tmp_path / "a_objects.csv", model.classes))
-    assert list(found) == [0.3, 0.5, 1.0]
-    for share, scores in found.items():
-        expected = scored_by_hand(model, events, rows, share)
+    tried = model
+    if slides:
+        tried = replace(model, config=model.config.replace(last_us=model.config.window_us))
+    found = score_recording(tried, recording, read_table(tmp_path / "a_objects.csv", model.classes))
+    assert list(found) == [10_000, 30_000, 50_000]
+    for until_us, scores in found.items():
+        expected = scored_by_hand(model, events, rows, until_us)
         assert [
             scores.n_present.tolist(),
             scores.n_found.tolist(),
             scores.n_right.tolist(),
-        ] == expected, share
+        ] == expected, until_us
         there, n_found, right = np.sum(expected, axis=1).tolist()
-        assert (5 if share == 1 else 0) < right < there
+        assert (5 if until_us == 50_000 else 0) < right < there
         assert scores.f1 == 2 * right / (there + n_found)
         words = scores.to_dict(model.classes)
         assert words["precision"] == round(right / n_found, 5)
@@ -422,7 +468,7 @@ def test_memory_does_not_grow_with_the_time_between_moments(saved):
         unknown={},
     )
     scores = score_recording(load_model(saved), Packets(), table)
-    assert scores[1.0].n_right.sum() == 1 and max(n_alive) <= 5
+    assert scores[1000].n_right.sum() == 1 and max(n_alive) <= 5
 
 
 def test_memory_does_not_grow_with_the_number_of_moments(saved):
@@ -455,7 +501,7 @@ def test_memory_does_not_grow_with_the_number_of_moments(saved):
         scores = score_recording(load_model(saved), Packets(), table)
     finally:
         tracemalloc.stop()
-    assert scores[1.0].n_right.sum() == n_packets
+    assert scores[1000].n_right.sum() == n_packets
     # the recording is read twice, at first for the times of its packets alone
     *_, early, late = bytes_held
     assert late - early < 4 * n_events * EVENT_DTYPE.itemsize

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.objects import hands, kinds, pairs, scenes
+from experiments.objects import hands, kinds, mistakes, pairs, scenes
 from experiments.pictures import drawn
 
 SENSOR = (240, 180)
@@ -153,6 +153,25 @@ def test_pictures_of_the_kinds_are_cut_out_and_differ(tmp_path):
         assert path.read_bytes() == (again / path.parent.name / path.name).read_bytes()
 
 
+def test_mistakes_are_counted_by_size():
+    """By hand: on a sensor with a shorter side of 100 pixels, parts end at 11.8, 16.7 and 23.6."""
+    counts = mistakes.Mistakes()
+    boxes = np.array([(0.0, 0, 10, 10), (20, 0, 40, 20), (50, 50, 80, 60), (0, 60, 15, 70)])
+    found = np.array([(0.0, 0, 10, 8), (20, 0, 40, 10), (20, 0, 40, 12), (50, 50, 62, 60)])
+    labels = ["fish", "key", "star", "cup"]
+    counts.add(boxes, labels, found, ["fish", "cup", "arrow", "star"], 100)
+    # the fish is right; both boxes on the key are of other kinds; the star's box is too small
+    assert counts.to_dict() == {
+        "edges": [0.1179, 0.1667, 0.2357],
+        "objects": [1, 1, 1, 1],
+        "found": [1, 0, 1, 0],
+        "right": [1, 0, 0, 0],
+        "mistaken": [{"kind": "key", "taken_for": "arrow", "objects": 1}],
+    }
+    counts.add(boxes, labels, np.empty((0, 4)), [], 100)
+    assert counts.to_dict()["objects"] == [2, 2, 2, 2] and counts.to_dict()["found"][0] == 1
+
+
 def test_scores_of_a_model_that_knows_and_of_one_that_does_not(tmp_path):
     """A made model of one class says the same box everywhere; scenes are read from files again."""
     torch = pytest.importorskip("torch", reason="networks are made with torch")
@@ -175,7 +194,7 @@ def test_scores_of_a_model_that_knows_and_of_one_that_does_not(tmp_path):
     some = object_scales.Scenes(9, SENSOR, 2, tmp_path / "scenes")
     ticks = []
     found = object_scales.score(nothing, some, lambda: ticks.append(1))
-    assert len(ticks) == 2 and list(found) == ["10", "30", "50", "100", "f1_of_kinds"]
+    assert len(ticks) == 2 and list(found) == ["mistakes", "10", "30", "50", "100", "f1_of_kinds"]
     assert found["100"]["map"] == 0.0 and found["100"]["f1"] == 0.0
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").iterdir()}
     assert len(files) == 2

@@ -29,10 +29,22 @@ CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "30"))
 """Number of random networks. ASYNC_TNT_FUZZ_CASES makes it a long run."""
 
 
-def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, stride=2, of_boxes=2):
+def box_model(
+    config=CONFIG,
+    n_classes=3,
+    seed=0,
+    *,
+    channels=8,
+    kernel=5,
+    stride=2,
+    of_boxes=2,
+    two_levels=False,
+):
     """A network of a few convolutions, a head of classes and one of boxes.
 
     of_boxes : 2 for sizes, 4 for sizes and middles.
+    two_levels : whether a map of half the size is spread and added, as in `Pyramid`. The sides of
+        the map must be even.
     """
 
     class Net(nn.Module):
@@ -43,11 +55,19 @@ def box_model(config=CONFIG, n_classes=3, seed=0, *, channels=8, kernel=5, strid
                 nn.ReLU(),
                 nn.Conv2d(channels, channels, 3, padding=1),
             )
+            self.coarse = nn.Sequential(
+                nn.MaxPool2d(2),
+                nn.Conv2d(channels, 4 * channels, 3, padding=1),
+                nn.PixelShuffle(2),
+            )
             self.logits = nn.Conv2d(channels, n_classes + 1, 1)
             self.boxes = nn.Conv2d(channels, of_boxes, 1)
 
         def forward(self, volume):
-            x = torch.relu(self.stem(volume))
+            x = self.stem(volume)
+            if two_levels:
+                x = x + self.coarse(torch.relu(x))
+            x = torch.relu(x)
             return torch.cat([self.logits(x), self.boxes(x)], 1)
 
     with torch.random.fork_rng():
@@ -131,8 +151,8 @@ def test_an_object_that_overlaps_a_likelier_one_of_its_class_is_left_out(second,
     maps[3:, 3, :] = np.log(4.0 * 2)
     config = CONFIG.replace(sensor=(36, 36), grid=(36, 36))
     decision = Processor(config, classifier=lambda volume: maps, classes=["a", "b"]).fire()
-    size = torch.tensor([8.0, 8.0])
-    overlap = box_overlap(torch.zeros(2), size, torch.tensor([2.0 * apart, 0.0]), size)
+    sides = torch.tensor([8.0, 8.0])
+    overlap = box_overlap(torch.zeros(2), sides, torch.tensor([2.0 * apart, 0.0]), sides)
     assert bool(overlap > 0.5) is (apart == 1)
     assert len(decision.objects) == n_listed
 
@@ -248,33 +268,53 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size, of
     assert assert_stream_equals_whole_maps(box_model(of_boxes=of_boxes), events, size) > 150
 
 
+def random_box_model(rng, seed):
+    """A network with boxes on random windows of counts or bins, perhaps on a coarser grid."""
+    sensor = (8 * int(rng.integers(2, 12)), 8 * int(rng.integers(2, 8)))
+    two_levels = bool(rng.random() < 0.5)
+    if not two_levels:
+        sensor = (sensor[0] - int(rng.integers(0, 5)), sensor[1] - int(rng.integers(0, 5)))
+    length_us = 60 * int(rng.integers(8, 84))  # a multiple of any number of bins
+    windows = {"representation": "count", "window_us": length_us}
+    kind = rng.integers(4)
+    if kind == 1:
+        windows = {"representation": "count", "last_us": length_us}
+    if kind == 2:
+        windows = {"representation": "volume", "transform": "none", "window_us": length_us}
+    if kind == 3:
+        windows = {"representation": "volume", "transform": "none", "last_us": length_us}
+    if kind >= 2:
+        windows["bins"] = int(rng.integers(1, 6))
+    grid = sensor
+    if "window_us" in windows and rng.random() < 0.3:
+        grid = (8 * max(2, sensor[0] // 16), 8 * max(2, sensor[1] // 16))
+    polarity = str(rng.choice(["split", "unsigned"]))
+    config = TNTConfig(sensor=sensor, grid=grid, polarity=polarity, **windows)
+    model = box_model(
+        config,
+        int(rng.integers(1, 6)),
+        seed,
+        channels=int(rng.choice([2, 4, 9])),
+        kernel=int(rng.choice([3, 5])),
+        stride=int(rng.choice([1, 2, 4])),
+        of_boxes=int(rng.choice([2, 4])),
+        two_levels=two_levels,
+    )
+    if "window_us" in windows and rng.random() < 0.3:
+        larger = (2 * sensor[0], 2 * sensor[1])
+        model = replace(model, by_share=True).for_sensor(larger)
+    return model
+
+
 def test_random_networks():
+    """Bits, however the stream is cut: with one level or two, on a sensor of another size."""
     n_found = 0
     for seed in range(CASES):
         rng = np.random.default_rng(seed)
-        sensor = (int(rng.integers(12, 90)), int(rng.integers(12, 60)))
-        slides = {"window_us": int(rng.integers(500, 5_000))}
-        if rng.random() < 0.5:
-            slides = {"last_us": int(rng.integers(500, 5_000))}
-        config = TNTConfig(
-            sensor=sensor,
-            grid=sensor,
-            representation="count",
-            polarity=str(rng.choice(["split", "unsigned"])),
-            **slides,
-        )
-        model = box_model(
-            config,
-            int(rng.integers(1, 6)),
-            seed,
-            channels=int(rng.choice([2, 4, 9])),
-            kernel=int(rng.choice([3, 5])),
-            stride=int(rng.choice([1, 2, 4])),
-            of_boxes=int(rng.choice([2, 4])),
-        )
-        if len(model.logits_shape) < 3:
-            continue
+        model = random_box_model(rng, seed)
+        assert model.places is not None
         n = int(rng.integers(1, 400))
+        sensor = model.config.sensor
         events = random_events(n, seed=seed, sensor=sensor, duration_us=6_000)
         size = int(rng.integers(1, 120))
         n_found += assert_stream_equals_whole_maps(model, events, size)

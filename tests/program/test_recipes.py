@@ -35,6 +35,7 @@ USERS = {
         "streaming/compile_ahead.py": "makes streams with every kind of trigger",
         "cli/bench.py": "measures a decision after every event",
         "sources/queues/keep_up.py": "makes decisions rarer",
+        "views/figure_objects.py": "decides before each panel",
     },
     "line": {
         "checking/equality.py": "checks streams with every landmark",

@@ -151,7 +151,8 @@ def probabilities_of(figure):
 def test_each_windows_decision_stands_above_its_start():
     """And the likeliest classes of all decisions are named, the likeliest first. Names are cut to
     ten letters."""
-    model = replace(DIGITS, classes=[f"{k} is the digit" for k in range(10)])
+    names = [f"{k} is the digit" for k in range(10)]
+    model = replace(DIGITS, classes=names, statistics=None)  # these are of the classes
     shown = Subject("8.bin", sample(8), DIGITS.config, model, "digits")
     decisions = list(async_tnt.stream([sample(8)], "digits", every_us=2_500))
     last = [d for d in decisions if d.trigger in ("window", "end")]

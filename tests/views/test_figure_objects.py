@@ -83,15 +83,16 @@ def test_panels_show_what_was_there_until_then(number):
     begin = [(0, 0)] if number == 1 else []
     a, b, c = (5 + moved, 4), (30 + moved, 12), (20 + moved, 3)
     sure = f"{1 / (1 + np.exp(-1)):.2f}"
-    assert first == ("3 ms", [*begin, a], [a], [a], ["pair", sure])
+    assert first == ("3 ms", [*begin, a], [a], [a], ["pair", f"id 0, {sure}"])
+    two = ["pair", f"id 0, {sure}", "pair", f"id 1, {sure}"]
     title, on, off, objects, words = second
     assert (title, on, off) == ("6 ms", [*begin, a, b], [a, b])
     assert sorted(objects) == [a, b]
-    assert words == ["pair", sure] * 2
+    assert words == two
     title, on, off, objects, words = third
     assert (title, on, off) == ("9 ms", [*begin, a, b, c], [a, b])
     assert sorted(objects) == [a, b]
-    assert words == ["pair", sure] * 2
+    assert words == two
 
 
 def test_a_window_that_slides_still_holds_events_from_before():
@@ -121,6 +122,26 @@ def test_a_panel_has_no_events_of_earlier_windows():
     processor.push(events[events["t"] <= 50 + 9_000 + 2_000])
     figure = draw_objects([processor.fire()], ["11 ms"], events, CONFIG.sensor, "a.npz")
     assert panels(figure)[0][:4] == ("11 ms", [(6, 4)], [(6, 4)], [(6, 4)])
+
+
+@pytest.mark.parametrize("slides", [False, True])
+def test_an_object_keeps_its_id_from_panel_to_panel(slides):
+    """The id is not the object's place in the list: the likelier one stands first there."""
+    model = dot_finder()
+    if slides:
+        slid = CONFIG.replace(
+            representation="count", transform="none", polarity="unsigned", last_us=9_000
+        )
+        model = replace(model, config=slid)
+    rows = [(20, 30, 12, p) for p in (0, 1)]
+    rows += [(4_000 + k, 5, 4, k % 2) for k in range(3)]  # three events: likelier than two
+    events = events_of(*np.array(rows).T)
+    subject = Subject("a.npz", events, CONFIG, model, "finder")
+    ids = []
+    for axes in draw_window_objects(subject.window(1), subject.model).axes:
+        seconds = [text for text in axes.texts if text.get_text().startswith("id ")]
+        ids.append({text.xy[0]: text.get_text().split(",")[0] for text in seconds})
+    assert ids == [{30: "id 0"}, {5: "id 1", 30: "id 0"}, {5: "id 1", 30: "id 0"}]
 
 
 def test_an_object_with_a_size_has_a_box():

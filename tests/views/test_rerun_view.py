@@ -304,7 +304,7 @@ def test_objects_are_shown_where_they_are_until_they_are_gone(tmp_path):
     assert first == [pytest.approx([35, 5]), pytest.approx([5, 25])]
     assert last == []
     (_, labels) = rrd.series(decisions_log.OBJECTS, "Points2D:labels")[0]
-    assert labels == [f"a {likelier:.2f}", f"a {other:.2f}"]
+    assert labels == [f"0: a {likelier:.2f}", f"1: a {other:.2f}"]
     plotted = [values for _, values in rrd.series(decisions_log.PROBABILITIES, "Scalars:scalars")]
     assert plotted[0] == pytest.approx([likelier, 0])
     assert plotted[-1] == [0, 0]
