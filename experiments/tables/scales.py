@@ -123,6 +123,26 @@ def object_cost() -> str:
     return box_cost(results("box_cost_scales"))
 
 
+def object_levels() -> str:
+    """A table of networks of one level and of two, in scenes of the tuning seed."""
+    reports = {
+        "pyramid, two levels": results("object_scales_tuning"),
+        "map, one level": results("object_scales_one_level"),
+    }
+    rows = []
+    for title, report in reports.items():
+        models = report["models"]
+        cells = [title, str(len(models)), f"{report['multiplications'] / 1e6:.0f}"]
+        for sensor in report["scenes"]:
+            ends = [model["scores"][sensor]["100"] for model in models]
+            cells += [_three([one[name] for one in ends]) for name in ("map_50", "map")]
+        rows.append(cells)
+    head = ["network", "networks", "million multiplications a pass"]
+    for sensor in reports["map, one level"]["scenes"]:
+        head += [f"{sensor}: {COCO['map_50']}", COCO["map"]]
+    return table(head, rows)
+
+
 def object_curve() -> str:
     """A table of the learning curve in scenes of the tuning seed."""
     (model, *_) = results("object_scales_tuning")["models"]

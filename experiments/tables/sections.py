@@ -417,15 +417,24 @@ SECTIONS = (
         title="Objects of many sizes",
         text=OBJECT_SCALES,
         command=(
-            "experiments.object_scales --out FOLDER --final --json "
+            "experiments.object_scales --out FOLDER --seeds 5 --final --json "
             "experiments/results/object_scales.json"
         ),
         tables={
             scales.object_scales: "Boxes in made scenes, the final set",
             scales.object_kinds: "F1 by kind at the end of the scenes",
+            scales.object_mistakes: (
+                "Which objects have a box at the end of the scenes, by size, of all networks"
+            ),
+            scales.object_mistaken: "What is taken for what most often, 240x180",
+            scales.object_levels: (
+                "One level or two, in scenes of the tuning seed after 100 ms: `python -m "
+                "experiments.object_scales --out FOLDER --network map --json "
+                "experiments/results/object_scales_one_level.json`"
+            ),
             scales.object_curve: (
-                "The learning curve in scenes of the tuning seed, on 240x180 after 100 ms: `python "
-                "-m experiments.object_scales --out FOLDER --json "
+                "The learning curve of the first network in scenes of the tuning seed, on 240x180 "
+                "after 100 ms: `python -m experiments.object_scales --out FOLDER --seeds 5 --json "
                 "experiments/results/object_scales_tuning.json`"
             ),
             scales.object_cost: (
