@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,13 +28,34 @@ if os.name != "nt" and signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # und
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels once, by two processes, before the workers of pytest start."""
-    is_worker = hasattr(session.config, "workerinput")
-    if not is_worker and not session.config.option.collectonly:
-        from async_tnt import warmup  # imported here, as OMP_NUM_THREADS must be set first
+COMPILE_THE_LAST_FIRST = """
+from async_tnt.kernels.entry_points import ENTRY_POINTS, prepare
+from async_tnt.kernels.ship import import_all
 
-        warmup()
+import_all()
+prepare(*reversed(ENTRY_POINTS))
+"""
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile all kernels once, before the workers of pytest start.
+
+    Two processes begin at both ends of the list, and load what the other one has compiled.
+    """
+    is_worker = hasattr(session.config, "workerinput")
+    if is_worker or session.config.option.collectonly:
+        return
+    # imported here, as OMP_NUM_THREADS must be set first
+    from async_tnt.kernels.entry_points import ENTRY_POINTS
+    from async_tnt.kernels.ship import import_all
+
+    import_all()
+    other = None
+    for entry in ENTRY_POINTS:
+        if other is None and not entry.is_quick:
+            other = subprocess.Popen([sys.executable, "-c", COMPILE_THE_LAST_FIRST])
+        entry.prepare()
+    assert other is None or other.wait() == 0, "see above why kernels were not compiled"
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -240,55 +240,48 @@ class ObjectNumbers:
 
         sizes : the width and height of their boxes; None: they have none.
         """
-        free_objects = [known for known in self.known if time_us - known.time_us <= self.memory_us]
+        known = [known for known in self.known if time_us - known.time_us <= self.memory_us]
         if sizes is None:
             sizes = [(0.0, 0.0)] * len(places)
-        overlaps = self._overlaps(free_objects, places, sizes)
+        overlaps, distances = self._compared(places, sizes, known)
+        is_free = torch.ones(len(known), dtype=torch.bool)
         current_objects = []
-        for rank, ((x, y), size) in enumerate(zip(places, sizes, strict=True)):
-            near: list[_KnownObject] = []
-            if rank < self.most and free_objects:
-                most_overlap = max(overlaps[rank][known.number] for known in free_objects)
-                near = [
-                    known for known in free_objects if overlaps[rank][known.number] == most_overlap
-                ]
-                if most_overlap == 0:
-                    near = [known for known in near if self._distance(known, x, y) < 1]
+        for rank, (x, y) in enumerate(places):
+            near: list[int] = []
+            if rank < self.most and is_free.any():
+                overlap = overlaps[rank]
+                is_most = is_free & (overlap == overlap[is_free].max())
+                near = (is_most & ((overlap > 0) | (distances[rank] < 1))).nonzero()[:, 0].tolist()
             number = self.next_number
             if near:
-                nearest = min(near, key=lambda known: self._preference(known, x, y))
-                free_objects.remove(nearest)
-                number = nearest.number
+                distance = distances[rank].tolist()
+                nearest = min(near, key=lambda k: (distance[k], -known[k].decision, known[k].rank))
+                is_free[nearest] = False
+                number = known[nearest].number
             else:
                 self.next_number += 1
-            current = _KnownObject(number, x, y, time_us, self.decision, rank, size)
+            current = _KnownObject(number, x, y, time_us, self.decision, rank, sizes[rank])
             current_objects.append(current)
-        earlier = sorted(free_objects, key=lambda known: (-known.decision, known.rank))
+        not_found = [known[k] for k in is_free.nonzero()[:, 0].tolist()]
+        earlier = sorted(not_found, key=lambda known: (-known.decision, known.rank))
         self.known = (current_objects[: self.most] + earlier)[: self.room]
         self.decision += 1
-        return [known.number for known in current_objects]
+        return [current.number for current in current_objects]
 
-    @staticmethod
-    def _overlaps(
-        known_objects: Sequence[_KnownObject],
+    def _compared(
+        self,
         places: Sequence[tuple[float, float]],
         sizes: Sequence[tuple[float, float]],
-    ) -> list[dict[int, float]]:
-        """For each object of a decision: number of a known object -> the overlap of their boxes."""
-        known_places = [(known.x, known.y) for known in known_objects]
-        overlaps = box_overlap(
-            _pairs(places)[:, None],
-            _pairs(sizes)[:, None],
-            _pairs(known_places),
-            _pairs([known.size for known in known_objects]),
-        )
-        numbers = [known.number for known in known_objects]
-        return [dict(zip(numbers, of_object, strict=True)) for of_object in overlaps.tolist()]
+        known: Sequence[_KnownObject],
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """How much the box of each object overlaps with that of each known one; their distances.
 
-    def _preference(self, known: _KnownObject, x: float, y: float) -> tuple[float, int, int]:
-        """A key of a known object: an object at (x, y) takes the number with the lowest key."""
-        return self._distance(known, x, y), -known.decision, known.rank
-
-    def _distance(self, known: _KnownObject, x: float, y: float) -> float:
-        """The squared distance, in units of the reach."""
-        return float(((x - known.x) / self.reach[0]) ** 2 + ((y - known.y) / self.reach[1]) ** 2)
+        Distances are squared, in units of the reach. Two tensors of shape (objects, known objects).
+        """
+        place = _pairs(places)[:, None]
+        size = _pairs(sizes)[:, None]
+        known_place = _pairs([(one.x, one.y) for one in known])
+        known_size = _pairs([one.size for one in known])
+        reach = torch.tensor(self.reach, dtype=torch.float64)
+        distances = (((place - known_place) / reach) ** 2).sum(-1)
+        return box_overlap(place, size, known_place, known_size), distances

@@ -80,6 +80,7 @@ class SpikingNetwork:
             }
         self._volume = tuple(volume)
         self._responses: dict[tuple[str, int, int, int], torch.Tensor] = {}
+        self._of_neurons: dict[str, Weights] = {}
         self.membranes: dict[str, torch.Tensor] = {}
         self._currents: dict[str, torch.Tensor] = {}
         self.spikes: dict[str, float] = {}
@@ -149,11 +150,17 @@ class SpikingNetwork:
             self._responses[key] = LINEAR[layer["op"]](layer, self._weights[layer["name"]], unit)
         return self._responses[key]
 
+    def _weights_of_neurons(self, name: str, shape: Sequence[int]) -> Weights:
+        """The weights of a layer of neurons, as maps."""
+        if name not in self._of_neurons:
+            given = self._weights[name]
+            self._of_neurons[name] = {role: _as_map(w, shape) for role, w in given.items()}
+        return self._of_neurons[name]
+
     def _fire(self, layer: Layer, arrived: torch.Tensor, passed_us: float) -> torch.Tensor:
         """The spikes of a layer of neurons, or the membranes of a leaky integrator."""
         name = layer["name"]
-        given = self._weights[name]
-        w = {role: _as_map(values, arrived.shape) for role, values in given.items()}
+        w = self._weights_of_neurons(name, arrived.shape)
         if layer["op"] == "threshold":
             fired = (arrived > w["threshold"]).double()
             self.membranes[name] = torch.zeros_like(arrived)

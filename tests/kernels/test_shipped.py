@@ -81,15 +81,20 @@ def test_code_that_fits_is_used_and_gives_the_same_bits(use, tmp_path):
 
 
 @pytest.mark.parametrize("name", shipped.own_key())
-def test_code_for_something_else_is_not_used(name, use, folder, tmp_path):
+def test_code_for_something_else_is_not_used(name, folder, tmp_path):
+    found = shipped.read_file(made_for_another(name, folder, tmp_path))
+    assert not found.code
+    assert "other" in found.why_not or found.why_not == "the kernels have been changed"
+
+
+def made_for_another(name, folder, where):
+    """A copy of the file with another value in its key."""
     file = folder / f"{chosen_kind()}.code"
     head, _, body = file.read_bytes().partition(b"\n")
     about = json.loads(head)
     about["key"][name] = "other"
-    (tmp_path / file.name).write_bytes(json.dumps(about).encode() + b"\n" + body)
-    compiled, (best, _), why_not = use(tmp_path)
-    assert (compiled, best) == (True, "1")
-    assert "other" in why_not or why_not == "the kernels have been changed"
+    (where / file.name).write_bytes(json.dumps(about).encode() + b"\n" + body)
+    return where / file.name
 
 
 @pytest.mark.parametrize(
@@ -105,11 +110,21 @@ def test_code_for_something_else_is_not_used(name, use, folder, tmp_path):
         lambda whole: b"\xff\xfe\n" + whole,
     ],
 )
-def test_a_damaged_or_foreign_file_is_not_used(damage, use, folder, tmp_path):
+def test_a_damaged_or_foreign_file_is_not_used(damage, folder, tmp_path):
     file = folder / f"{chosen_kind()}.code"
     (tmp_path / file.name).write_bytes(damage(file.read_bytes()))
+    found = shipped.read_file(tmp_path / file.name)
+    assert not found.code and found.why_not == f"{file.name} is damaged"
+
+
+def test_where_a_file_is_not_used_the_kernel_is_compiled(use, folder, tmp_path):
+    """A file for something else, then one that was cut short."""
+    file = made_for_another("kernels", folder, tmp_path)
     compiled, (best, _), why_not = use(tmp_path)
-    assert (compiled, best) == (True, "1") and why_not == f"{file.name} is damaged"
+    assert (compiled, best, why_not) == (True, "1", "the kernels have been changed")
+    file.write_bytes((folder / file.name).read_bytes()[:-1])
+    compiled, (best, _), why_not = use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "other cache"))
+    assert (compiled, best, why_not) == (True, "1", f"{file.name} is damaged")
 
 
 def test_code_that_cannot_be_read_is_compiled(use, tmp_path):

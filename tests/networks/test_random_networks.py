@@ -9,6 +9,7 @@ import copy
 import os
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,12 +42,19 @@ def volumes_of(config: TNTConfig, seed: int) -> list[np.ndarray]:
     """Sparse counts, these times 100, only negative ones, zeros, and recorded events."""
     rng = np.random.default_rng(seed)
     sparse = rng.poisson(0.1, config.shape) * rng.choice([-1.0, 1.0], config.shape)
-    recorded = TNTVolume(TNTConfig(sensor=(34, 34), grid=config.grid, bins=config.bins, t_max=2.0))
-    events = open_recording(sample_recordings()[seed % 10]).read()
-    recorded.open(int(events["t"][0]))
-    recorded.update(events[:1000])
-    volumes = sparse, 100 * sparse, -np.abs(sparse) - 1, np.zeros(config.shape), recorded.array
+    recorded = recorded_volume(config, seed % 10)
+    volumes = sparse, 100 * sparse, -np.abs(sparse) - 1, np.zeros(config.shape), recorded
     return [volume.astype(np.float32) for volume in volumes]
+
+
+@cache
+def recorded_volume(config: TNTConfig, digit: int) -> np.ndarray:
+    """The volume of the first events of a sample recording."""
+    volume = TNTVolume(TNTConfig(sensor=(34, 34), grid=config.grid, bins=config.bins, t_max=2.0))
+    events = open_recording(sample_recordings()[digit]).read()
+    volume.open(int(events["t"][0]))
+    volume.update(events[:1000])
+    return volume.array.copy()
 
 
 def compiled_logits(model: Model, volumes: list[np.ndarray]) -> np.ndarray:
@@ -85,9 +93,8 @@ def torch_outputs(model: Model, volumes: list[np.ndarray], dtype: torch.dtype) -
     )
     module = module.to(dtype).eval()
     with torch.no_grad():
-        answers = [module(torch.tensor(v, dtype=dtype)[None]) for v in volumes]
-    rows_of_outputs = zip(*answers, strict=True)
-    return [np.stack([row.numpy().reshape(-1) for row in rows]) for rows in rows_of_outputs]
+        outputs = module(torch.tensor(np.array(volumes), dtype=dtype))
+    return [output.numpy().reshape(len(volumes), -1) for output in outputs]
 
 
 def torch_logits(

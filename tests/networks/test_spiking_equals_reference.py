@@ -44,34 +44,60 @@ def stream_of(seed, n=EVENTS, config=CONFIG):
     return np.stack([t, x, y, p], axis=1)
 
 
-def assert_equal(volume, reference, where):
-    for layer in volume.network.layers:
-        own = volume.membranes(layer).reshape(-1)
-        expected = reference.membranes[layer].numpy().reshape(-1)
-        if reference.leaks:
-            np.testing.assert_allclose(own, expected, rtol=LEAKY_BOUND, atol=LEAKY_BOUND)
-        else:
-            assert own.tobytes() == expected.tobytes(), (*where, layer)
-        if layer in reference.spikes:
-            assert volume.spikes(layer) == reference.spikes[layer], (*where, layer)
-    if volume.network.fires:
-        counts = reference.counts.numpy().reshape(-1)
-        first_us = reference.first_us.numpy().reshape(-1)
-        np.testing.assert_array_equal(volume.spike_counts().reshape(-1), counts, str(where))
-        np.testing.assert_array_equal(volume.first_spikes_us().reshape(-1), first_us, str(where))
-
-
 def compare_at_every_event(model, events, where):
+    """Step through the events, and compare the states after each of them."""
     volume = SpikingVolume(model)
     volume.open(0)
     reference = SpikingNetwork(model.network["spiking"], model.weights, model.config.shape)
+    own = []
+    expected = []
     newest_us = 0
-    for number, (t, x, y, p) in enumerate(events.tolist()):
+    for t, x, y, p in events.tolist():
         volume.update_one(t, x, y, p)
         newest_us = max(newest_us, t)  # a late event acts at the time of the newest
         reference.step(newest_us, x, y, p == 1)
-        assert_equal(volume, reference, (*where, number))
+        own.append(state_of_volume(volume, reference.spikes))
+        expected.append(state_of_reference(reference, volume.network.fires))
+    if own:
+        assert_equal(own, expected, reference.leaks, where)
     return reference
+
+
+def state_of_volume(volume, spiking_layers):
+    """Name -> numbers. Layers of neurons are named by themselves."""
+    state = {layer: volume.membranes(layer) for layer in volume.network.layers}
+    state["spikes"] = np.array([volume.spikes(layer) for layer in spiking_layers])
+    if volume.network.fires:
+        state["counts"] = volume.spike_counts()
+        state["first_us"] = volume.first_spikes_us()
+    return state
+
+
+def state_of_reference(reference, fires):
+    """The same of the reference."""
+    state = {layer: values.numpy() for layer, values in reference.membranes.items()}
+    state["spikes"] = np.array(list(reference.spikes.values()))
+    if fires:
+        state["counts"] = reference.counts.numpy().copy()
+        state["first_us"] = reference.first_us.numpy().copy()
+    return state
+
+
+def assert_equal(own, expected, leaks, where):
+    """Compare the states after each event, those of all events at once."""
+    assert own[0].keys() == expected[0].keys()
+    for name in own[0]:
+        found = np.array([state[name].reshape(-1) for state in own])
+        right = np.array([state[name].reshape(-1) for state in expected])
+        place = str((*where, name))
+        if name in ("spikes", "counts", "first_us"):
+            np.testing.assert_array_equal(found, right, place)
+        elif leaks:
+            np.testing.assert_allclose(
+                found, right, rtol=LEAKY_BOUND, atol=LEAKY_BOUND, err_msg=place
+            )
+        else:
+            np.testing.assert_array_equal(found.view(np.int64), right.view(np.int64), place)
 
 
 ALL = ("if", "lif", "cuba_lif", "threshold")

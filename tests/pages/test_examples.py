@@ -163,9 +163,10 @@ def test_spikes_equal_sinabs(lines_of, tmp_path):
 def test_flow_per_event(lines_of, tmp_path, monkeypatch):
     """With --quick it is trained hardly at all: all ways are compared, and the picture is drawn."""
     pytest.importorskip("torch", reason="the network needs torch")
-    from examples.optical_flow import picture
+    from examples.optical_flow import picture, sequences
 
     monkeypatch.setattr(picture, "DURATION_US", 60_000)
+    monkeypatch.setattr(sequences, "DURATION_US", 60_000)
     words = ("--quick", "--out", "flow.safetensors", "--picture", "flow.gif")
     lines = lines_of("flow_per_event.py", *words)
     assert lines[0] == "model in flow.safetensors"

@@ -188,6 +188,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         write(Path("point", f"{k:02d}.npz"), bar("slanted", k))
     monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 2, "held-out": 1})
     monkeypatch.setattr(simulated_pictures, "N_TAKES", 1)
+    monkeypatch.setattr("async_tnt.cli.train.available_cores", lambda: 1)  # no more processes
     write_pictures(Path("pictures"), n=2)
     rng = np.random.default_rng(0)
     # a smaller camera than the guide's

@@ -16,7 +16,7 @@ import async_tnt
 from async_tnt import sources, training
 
 OPTIONS = {
-    "mypy": ["--follow-imports=silent"],
+    "mypy": ["--follow-imports=silent", f"--cache-dir={ROOT / '.mypy_cache' / 'snippets'}"],
     "basedpyright": ["--level=error", f"--pythonpath={sys.executable}"],
 }
 ALL_NAMES = [

@@ -1,5 +1,6 @@
 """The recipes of ARCHITECTURE.md name the files in which an existing one of a kind is found."""
 
+import functools
 import io
 import itertools
 import re
@@ -60,6 +61,7 @@ ALTERNATIVES = {
 """Example -> files that the recipe names for other ones of its kind."""
 
 
+@functools.cache
 def code_of(path):
     """The names, and the strings in their quotes, of a file without its comments and docstrings."""
     tokens = list(tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline))

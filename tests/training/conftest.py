@@ -5,6 +5,9 @@ from training.gestures import write_set
 
 from async_tnt.cli import main
 
+ACCEPTED = set()
+"""Networks and volumes that `check_network_once` has accepted."""
+
 
 @pytest.fixture(scope="session")
 def gestures(tmp_path_factory):
@@ -38,8 +41,32 @@ def trained(gestures, tmp_path_factory):
 
 @pytest.fixture
 def few_steps(monkeypatch):
-    """A fixture for tests whose model need not learn: two steps an epoch instead of fifty."""
+    """A fixture for tests whose model need not learn: two steps an epoch instead of fifty.
+
+    Most of the time that is left goes into checks of the same network for the same volume, into the
+    picture of the curves, and into starts of processes. So a network is checked once, `trained`
+    alone draws a picture, and one process does all.
+    """
+    monkeypatch.setattr("async_tnt.cli.train.available_cores", lambda: 1)
     monkeypatch.setattr("async_tnt.training.settings.STEPS_AN_EPOCH", 2)
+    monkeypatch.setattr("async_tnt.training.plan.check_network", check_network_once)
+    monkeypatch.setattr("async_tnt.training.run_folder.plot_curves", write_no_curves)
+
+
+def check_network_once(name, *volume, **how):
+    """`check_network`, which says nothing new of a network of the package that it accepted."""
+    from async_tnt.training.pipeline import check_network
+
+    key = (name, volume, tuple(how.items()))
+    if key not in ACCEPTED:
+        check_network(name, *volume, **how)
+        if ":" not in name:  # a file may change
+            ACCEPTED.add(key)
+
+
+def write_no_curves(history, path):
+    path.write_bytes(b"no picture")
+    return True
 
 
 @pytest.fixture

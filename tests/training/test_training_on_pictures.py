@@ -319,7 +319,9 @@ def test_a_camera_of_another_sensor_is_not_measured(tmp_path):
         measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
 
 
-def test_a_file_of_a_large_sensor_has_fewer_recordings(tmp_path):
+def test_a_file_of_a_large_sensor_has_fewer_recordings(tmp_path, monkeypatch):
+    # a third of them, five
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 15, "held-out": 8})
     picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p"))["bar"][0], 0)
     with RecordingsWriter() as writer:
         simulate_pictures(
@@ -436,7 +438,7 @@ def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
     assert again == 2 and "a run with other pictures (settings)" in err
 
 
-def test_objects_of_many_sizes_are_learned_in_scenes_of_the_sensor(tmp_path, program):
+def test_objects_of_many_sizes_are_learned_in_scenes_of_the_sensor(tmp_path, program, few_steps):
     """A short training from the command line; the model knows objects by their share."""
     write_pictures(tmp_path / "p")
     out = tmp_path / "m.safetensors"

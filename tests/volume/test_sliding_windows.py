@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from held_memory import peak_of_process
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model
 
@@ -73,9 +73,13 @@ def image(events, config, bins=0):
 
 @pytest.mark.parametrize("window", WINDOWS, ids=str)
 @pytest.mark.parametrize("polarity", POLARITIES)
+@settings(max_examples=settings.default.max_examples // 3)
 @given(data=st.data())
 def test_the_window_is_the_definition_at_every_event(window, polarity, data):
-    """However the stream is cut into packets. Events may be late."""
+    """However the stream is cut into packets. Events may be late.
+
+    A third of the usual number of streams: there are 42 kinds of windows.
+    """
     config = config_of(polarity=polarity, **window)
     start_us = data.draw(st.sampled_from([0, 1_700_000_000_000_000]))
     events = data.draw(nasty_streams(SENSOR, 1000, start_us, max_events=50))

@@ -149,6 +149,25 @@ def test_principal_components_by_hand():
     np.testing.assert_allclose(projection, np.eye(2), atol=1e-7)
 
 
+def test_principal_components_of_few_readings_are_those_of_the_whole_covariance():
+    """40 readings of 200 features have 39 directions of any variance, each half of the one before.
+
+    Their first 10 are found.
+    """
+    rng = np.random.default_rng(3)
+    axes, _ = np.linalg.qr(rng.normal(size=(200, 39)))
+    readings = rng.normal(size=(40, 39)) * 0.5 ** np.arange(39) @ axes.T
+    features = [Moments.of(readings[:12]), Moments.of(readings[12:])]
+    covariance = sum(np.cov(part.T, bias=True) for part in (readings[:12], readings[12:])) / 2
+    between = (features[1].mean - features[0].mean) / 2
+    variances, directions = np.linalg.eigh(covariance + np.outer(between, between))
+    _, projection = principal_components(features, 10)
+    overlaps = np.abs(projection.T @ directions[:, ::-1][:, :10])
+    assert variances[-1] > 1e4 * variances[-10]
+    np.testing.assert_allclose(overlaps, np.eye(10), atol=1e-3)
+    assert (projection[np.abs(projection).argmax(0), np.arange(10)] > 0).all()
+
+
 @pytest.mark.parametrize("n_features", [5, 64, 96, 768, 2048, 4096])
 @pytest.mark.parametrize("n_classes", [2, 10, 101])
 def test_statistics_have_as_many_components_as_fit(n_features, n_classes):
