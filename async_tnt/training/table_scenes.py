@@ -123,10 +123,14 @@ class TableScenes:
         fine = 1.0
         if draws.sensor != self.config.sensor:
             fine = (draws.sensor[0] - 1) / (self.config.sensor[0] - 1)
-        middle = np.einsum("nij,nj->ni", matrix[:, :, :2], boxes["middle"]) + matrix[:, :, 2]
+        # A box covers pixels from their edges on, and events are moved as the pixels' centres are.
+        middle = boxes["middle"] - 0.5
+        middle = np.einsum("nij,nj->ni", matrix[:, :, :2], middle) + matrix[:, :, 2]
         # of a box that is turned, the box around it counts
         size = np.einsum("nij,nj->ni", np.abs(matrix[:, :, :2]), boxes["size"])
-        return scene, boxes["label"], (middle - size / 2) / fine, (middle + size / 2) / fine
+        low = (middle - size / 2) / fine + 0.5
+        high = (middle + size / 2) / fine + 0.5
+        return scene, boxes["label"], low, high
 
 
 def fewest_events(size: np.ndarray) -> np.ndarray:

@@ -274,8 +274,8 @@ class WindowReader:
     def _check_sensor(self, path: Path, stated: Sensor | None) -> None:
         """Refuse a recording that states another sensor than that of all recordings."""
         if stated is not None and tuple(stated) != self.camera:
-            rule = f"must be that of all recordings, got {format_size(stated)} ("
-            rule += f"{self.tables.name_of(path)})"
+            name = self.tables.name_of(path)
+            rule = f"must be that of all recordings; {name} has {format_size(stated)}"
             raise ParameterValueError("sensor", rule, format_size(self.camera))
 
     def _boxes_of(self, k: int, rows: slice, events: np.ndarray) -> np.ndarray:
