@@ -222,7 +222,7 @@ def test_info_and_check_know_a_taught_model(program, base, lesson, tmp_path):
     assert report["statistics"]["taught"] == ["d"]
     assert report["statistics"]["trained"] == list(CLASSES)
     assert report["record"]["taught"]["d"]["recordings"] == 6
-    code, stdout, _ = program("info", "digits", "--json")
+    code, stdout, _ = program("info", "digits-from-pictures", "--json")
     assert json.loads(stdout)["statistics"] is None
     pytest.importorskip("torch", reason="check compares with torch (extra `reference`)")
     code, stdout, err = program("check", lesson / "0.npz", "--model", out)
