@@ -151,6 +151,31 @@ class Scenes:
     size: np.ndarray
 
 
+class EventsOfCells:
+    """How many events each cell of windows has, about.
+
+    Parameters
+    ----------
+    config : how events become volumes.
+    """
+
+    def __init__(self, config: TNTConfig) -> None:
+        self._unsigned = None
+        if config.polarity == "signed":  # ON and OFF of a cell take each other away
+            self._unsigned = BatchVolumes(config.replace(polarity="unsigned"))
+
+    def __call__(self, volumes: np.ndarray, windows: Windows, draws: Draws) -> np.ndarray:
+        """The numbers of events: float32, (N, H, W).
+
+        volumes : those of `windows` and `draws`, see `BatchVolumes`.
+        """
+        if self._unsigned is not None:
+            volumes = self._unsigned(windows, draws)
+        # an event adds 1 to all bins together
+        events: np.ndarray = volumes.sum(1)
+        return events
+
+
 class SceneMaker:
     """Makes scenes of windows.
 
@@ -181,6 +206,7 @@ class SceneMaker:
         self._has_sizes = scenes is not None
         self.n_windows = OBJECTS if scenes is None else OBJECTS_OF_SIZES
         self._crop_volumes = BatchVolumes(config)
+        self._events_of_cells = EventsOfCells(config)
         self._scene_volumes = BatchVolumes(self.config)
         self._shorter = min(config.sensor)
 
@@ -203,8 +229,7 @@ class SceneMaker:
         later_us[~is_late] = 0
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         crops = self._crop_volumes(windows, draws)
-        # the absolute sum of a volume is about the number of its events
-        events_of_cells = np.abs(crops).sum(1)
+        events_of_cells = self._events_of_cells(crops, windows, draws)
         has_events = events_of_cells.sum((1, 2)) >= FEWEST
 
         ends_us = until_us[scene] - later_us

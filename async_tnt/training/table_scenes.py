@@ -22,7 +22,13 @@ import numpy as np
 from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
-from async_tnt.training.scenes import FEWEST_A_PX, SceneMaker, Scenes, check_volume
+from async_tnt.training.scenes import (
+    FEWEST_A_PX,
+    EventsOfCells,
+    SceneMaker,
+    Scenes,
+    check_volume,
+)
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
@@ -80,13 +86,15 @@ class TableScenes:
         self.config = config
         self.crops = config
         self._volumes = BatchVolumes(config)
+        self._events_of_cells = EventsOfCells(config)
 
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """The scenes of all `windows`, one for each, augmented by `draws`. `rng` is not used."""
         # the window ends where its recording does, whatever its start was drawn to be
         starts_us = self.config.window_us - draws.until_us
         windows = Windows(windows.recordings, windows.recording, np.zeros(len(windows), np.int64))
-        volumes = self._volumes(windows, replace(draws, start_us=starts_us)).copy()
+        started = replace(draws, start_us=starts_us)
+        volumes = self._volumes(windows, started).copy()
         scene, label, low, high = self._boxes(windows, draws)
 
         middle = (low + high) / 2
@@ -100,8 +108,8 @@ class TableScenes:
         high = high[counts]
 
         cells = np.array(self.config.to_grid(1, 1))
-        # the absolute sum of a volume is about the number of its events
-        more = more_than_noise(np.abs(volumes).sum(1), scene, low * cells, high * cells)
+        events = self._events_of_cells(volumes, windows, started)
+        more = more_than_noise(events, scene, low * cells, high * cells)
         stands_out = more >= fewest_events(high - low)
         position = (low + high) / 2
         size = high - low

@@ -413,6 +413,21 @@ def test_what_shows_nothing_or_has_too_few_events_is_no_object():
     assert scenes.scene.tolist() == [0, 4]
 
 
+@pytest.mark.parametrize("polarity", ["split", "signed", "unsigned"])
+def test_events_of_both_signs_in_one_cell_count(polarity):
+    """They take each other away in signed volumes."""
+    box = (20, 16, 10, 8)
+    shown = filled(box)
+    shown["p"] = np.arange(len(shown)) % 2
+    shown["x"] = shown["x"] // 2 * 2
+    shown["x"][1::2] = shown["x"][:-1:2]
+    shown["y"][1::2] = shown["y"][:-1:2]
+    config = CONFIG.replace(polarity=polarity)
+    windows = windows_with_boxes([shown], [[(1, *box)]])
+    scenes = TableScenes(config)(windows, unchanged(1, config), np.random.default_rng(0))
+    assert scenes.scene.tolist() == [0]
+
+
 def test_more_events_than_noise_by_hand():
     events = np.ones((1, 16, 24))
     events[0, 4:8, 4:12] = 6
