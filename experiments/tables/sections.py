@@ -429,8 +429,10 @@ SECTIONS = (
             scales.object_mistaken: "What is taken for what most often, 240x180",
             scales.object_levels: (
                 "One level or two, in scenes of the tuning seed after 100 ms: `python -m "
-                "experiments.object_scales --out FOLDER --network map --json "
-                "experiments/results/object_scales_one_level.json`"
+                "experiments.object_scales --out FOLDER --network "
+                "experiments/objects/one_level.py:one_level --json "
+                "experiments/results/object_scales_one_level_middles.json`, and `--network map "
+                "--json experiments/results/object_scales_one_level.json`"
             ),
             scales.object_curve: (
                 "The learning curve of the first network in scenes of the tuning seed, on 240x180 "

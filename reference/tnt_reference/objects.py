@@ -140,7 +140,10 @@ def objects_on_map(
     rows, columns = is_peak.nonzero().T
 
     label = z[:-1, rows, columns].argmax(0)
-    probability = torch.softmax(z[:, rows, columns], 0).gather(0, label[None])[0]
+    # Equal logits must have equal probabilities, to the bit. Torch's vectorized exp rounds the last
+    # columns of a tensor otherwise than the others, so equal columns are computed once.
+    different, which = torch.unique(z[:, rows, columns], dim=1, return_inverse=True)
+    probability = torch.softmax(different, 0)[:, which].gather(0, label[None])[0]
     weights = _around(s.clamp(min=0), 1, 0.0)[:, rows, columns]  # (9, N)
     down, right = torch.meshgrid(torch.arange(-1, 2), torch.arange(-1, 2), indexing="ij")
     place_x = (weights * (columns + right.reshape(9, 1))).sum(0) / weights.sum(0)

@@ -14,7 +14,14 @@ import pytest
 import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
-from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
+from tnt_reference import (
+    event_volume,
+    fitted_flow,
+    landmark,
+    objects_on_map,
+    tnt_coordinates,
+    tnt_volume,
+)
 from tnt_reference.transform import BORDER_TOLERANCE
 
 LANDMARKS = ("center", "running", "line", "window")
@@ -223,3 +230,17 @@ def test_volumes(window, kind, t_max, bins, polarity):
     torch.testing.assert_close(
         got, volume_of(placed, bins, grid, polarity), rtol=0, atol=ATOL_VOLUME
     )
+
+
+def test_equal_logits_on_a_map_are_equally_likely_objects():
+    """To the bit, however many there are: so that the first of them comes first."""
+    for seed in range(300):
+        g = torch.Generator().manual_seed(seed)
+        n = int(torch.randint(3, 60, (1,), generator=g))
+        maps = torch.zeros(4, 3, 2 * n + 1)
+        maps[:3, 1, 1::2] = 1 + torch.rand(3, 1, generator=g)
+        maps[3] = 1.0
+        objects = objects_on_map(maps)
+        assert len({found.probability for found in objects}) == 1
+        assert [found.column for found in objects] == sorted(found.column for found in objects)
+        assert len(objects) == n
