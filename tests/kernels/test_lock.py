@@ -1,16 +1,28 @@
 """Python's lock: other threads run while much is computed; for little it is kept."""
 
 import ast
+import itertools
 import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
-from made import random_events, random_model
+from made import opened, random_events, random_model, raw_model
+from networks.random_spiking import CONFIG, random_spiking_model
 
-from async_tnt import CompiledClassifier, Processor, TNTVolume, kernels
+from async_tnt import (
+    CompiledClassifier,
+    CompiledNetwork,
+    Processor,
+    SpikingVolume,
+    TNTConfig,
+    TNTVolume,
+    kernels,
+)
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
+from async_tnt.sources import PixelFilter, learn_mask
 from async_tnt.volume.events import EventDecoder
 
 
@@ -59,6 +71,38 @@ def others_run_during(compute) -> bool:
     finally:
         sys.setswitchinterval(interval)
         other.join()
+
+
+def release_in_calls():
+    """Name -> a call of a kernel that takes long enough for others to run meanwhile."""
+    model = random_model()
+    events = random_events(5_000, seed=1, duration_us=9_000, sensor=model.config.sensor)
+    array = np.ones(model.config.shape, np.float32)
+    pixels = PixelFilter(model.config.sensor, roi=(2, 2, 20, 20))
+    network = CompiledNetwork(raw_model(model.config))
+    volumes = itertools.cycle(opened(model.config, events) for _ in range(2))
+    spikes = SpikingVolume(random_spiking_model(9))
+    spikes.open(0)
+    columns = EventDecoder(CONFIG.sensor).decode(random_events(LARGE, sensor=CONFIG.sensor))
+    columns.t[:] = 5
+    maps = np.zeros((2, 200, 200), np.float32)
+    finder = Processor(TNTConfig(), classifier=lambda volume: maps, classes=("a",))
+    return {
+        "a whole pass": lambda: network(array),
+        "raw outputs": lambda: network.refresh(next(volumes)),
+        "a filter": lambda: pixels(events),
+        "a mask": lambda: learn_mask([events], model.config.sensor),
+        "objects": finder.fire,
+        "spikes": lambda: spikes.absorb(columns, 0, LARGE),
+    }
+
+
+@pytest.mark.skipif(BOUNDS_CHECKED, reason="the lock is kept where indices are checked")
+@pytest.mark.parametrize(
+    "name", ["a whole pass", "raw outputs", "a filter", "a mask", "objects", "spikes"]
+)
+def test_others_run_during_every_long_call(name):
+    assert others_run_during(release_in_calls()[name])
 
 
 @pytest.mark.skipif(BOUNDS_CHECKED, reason="the lock is kept where indices are checked")

@@ -175,6 +175,35 @@ def test_the_confidence_closes_a_window():
     assert all(d.probability >= 0.99 for d in decisions if d.trigger == "confidence")
 
 
+@pytest.mark.parametrize("ops", [("if",), ("if", "lif", "cuba_lif")], ids="+".join)
+def test_logits_are_spikes_or_membranes_as_they_are_then(ops):
+    """Of equal logits that of the largest membrane is decided for, of equal membranes the first.
+
+    It is so after each event, and in a window that has none yet, whose neurons go on.
+    """
+    n_leaky = 0
+    n_tied = 0
+    for seed in range(25):
+        volume = SpikingVolume(random_spiking_model(seed, ops=ops), keep_neurons=True)
+        fires = volume.network.fires
+        for event in [None, *events_of(CONFIG, 40, seed).tolist(), None]:
+            if event is None:
+                volume.open(volume.start_us + CONFIG.window_us)
+            else:
+                volume.update_one(*event)
+            index, logits, probabilities = volume.answer()
+            membranes = volume.membranes()
+            expected = volume.spike_counts() if fires else membranes
+            np.testing.assert_allclose(logits, expected, rtol=1e-6, atol=1e-9)
+            tied = np.flatnonzero(logits == logits.max())
+            assert index == tied[np.argmax(membranes[tied])]
+            shares = np.exp(logits.astype(float))
+            np.testing.assert_allclose(probabilities, shares / shares.sum(), rtol=1e-9)
+            n_leaky += not fires and len(set(membranes)) > 1
+            n_tied += len(set(membranes[tied])) > 1 and index > 0
+    assert n_tied > 20 and (n_leaky > 20 or ops == ("if",))
+
+
 def test_a_model_for_another_sensor_has_the_same_neurons():
     conv, weights = layer(
         "conv",
