@@ -14,6 +14,7 @@ from networks.random_spiking import CONFIG, random_spiking_model
 from async_tnt import (
     CompiledClassifier,
     CompiledNetwork,
+    Model,
     Processor,
     SpikingVolume,
     TNTConfig,
@@ -22,7 +23,7 @@ from async_tnt import (
 )
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
-from async_tnt.sources import PixelFilter, learn_mask
+from async_tnt.kernels.sources.pixels import RECORD_BYTES, count_events, keep_events
 from async_tnt.volume.events import EventDecoder
 
 
@@ -73,36 +74,63 @@ def others_run_during(compute) -> bool:
         other.join()
 
 
-def release_in_calls():
-    """Name -> a call of a kernel that takes long enough for others to run meanwhile."""
-    model = random_model()
-    events = random_events(5_000, seed=1, duration_us=9_000, sensor=model.config.sensor)
-    array = np.ones(model.config.shape, np.float32)
-    pixels = PixelFilter(model.config.sensor, roi=(2, 2, 20, 20))
-    network = CompiledNetwork(raw_model(model.config))
-    volumes = itertools.cycle(opened(model.config, events) for _ in range(2))
-    spikes = SpikingVolume(random_spiking_model(9))
-    spikes.open(0)
-    columns = EventDecoder(CONFIG.sensor).decode(random_events(LARGE, sensor=CONFIG.sensor))
-    columns.t[:] = 5
-    maps = np.zeros((2, 200, 200), np.float32)
-    finder = Processor(TNTConfig(), classifier=lambda volume: maps, classes=("a",))
-    return {
-        "a whole pass": lambda: network(array),
-        "raw outputs": lambda: network.refresh(next(volumes)),
-        "a filter": lambda: pixels(events),
-        "a mask": lambda: learn_mask([events], model.config.sensor),
-        "objects": finder.fire,
-        "spikes": lambda: spikes.absorb(columns, 0, LARGE),
-    }
+LARGE_SENSOR = TNTConfig(sensor=(200, 150), grid=(200, 150))
+
+
+def whole_passes():
+    network = CompiledNetwork(raw_model(LARGE_SENSOR))
+    array = np.ones(LARGE_SENSOR.shape, np.float32)
+    return lambda: network(array)
+
+
+def raw_outputs():
+    """Of two volumes in turn: each time all of the network is computed."""
+    network = CompiledNetwork(raw_model(LARGE_SENSOR))
+    events = random_events(5_000, duration_us=9_000, sensor=LARGE_SENSOR.sensor)
+    volumes = itertools.cycle([opened(LARGE_SENSOR, events), opened(LARGE_SENSOR, events)])
+    return lambda: network.refresh(next(volumes))
+
+
+def objects():
+    conv = {"op": "conv", "name": "map", "inputs": ["volume"], "weights": {"weight": "w"}}
+    sides = {"kernel": [3, 3], "stride": [1, 1], "padding": [1] * 4, "dilation": [1, 1]}
+    weights = {"w": np.random.default_rng(0).normal(size=(2, LARGE_SENSOR.channels, 3, 3))}
+    network = {"classifier": [{**conv, **sides, "groups": 1}]}
+    model = Model(LARGE_SENSOR, weights, ["a"], network=network)
+    classifier = CompiledClassifier(model)
+    tracks = Processor(model)._classifier._tracks
+    events = random_events(5_000, duration_us=9_000, sensor=LARGE_SENSOR.sensor)
+    volumes = itertools.cycle([opened(LARGE_SENSOR, events), opened(LARGE_SENSOR, events)])
+    return lambda: classifier.locate(next(volumes), tracks, 0, False)
+
+
+def filtering():
+    n = 50 * LARGE
+    columns = EventDecoder((34, 34)).decode(random_events(n))
+    verdicts = np.zeros((34, 34), np.uint8)
+    records = np.empty(RECORD_BYTES * n, np.uint8)
+    return lambda: keep_events(*columns[:4], n, verdicts, 0, 0, records)
+
+
+def counting():
+    n = 50 * LARGE
+    columns = EventDecoder((34, 34)).decode(random_events(n))
+    counts = np.zeros((34, 34), np.int64)
+    return lambda: count_events(columns.x, columns.y, n, counts)
+
+
+def spikes():
+    volume = SpikingVolume(random_spiking_model(9))
+    volume.open(0)
+    events = random_events(LARGE, duration_us=CONFIG.window_us, sensor=CONFIG.sensor)
+    columns = EventDecoder(CONFIG.sensor).decode(events)
+    return lambda: volume.absorb(columns, 0, LARGE)
 
 
 @pytest.mark.skipif(BOUNDS_CHECKED, reason="the lock is kept where indices are checked")
-@pytest.mark.parametrize(
-    "name", ["a whole pass", "raw outputs", "a filter", "a mask", "objects", "spikes"]
-)
-def test_others_run_during_every_long_call(name):
-    assert others_run_during(release_in_calls()[name])
+@pytest.mark.parametrize("made", [whole_passes, raw_outputs, objects, filtering, counting, spikes])
+def test_others_run_during_every_call_that_takes_long(made):
+    assert others_run_during(made())
 
 
 @pytest.mark.skipif(BOUNDS_CHECKED, reason="the lock is kept where indices are checked")

@@ -261,6 +261,25 @@ def test_the_command_that_makes_the_files(
         assert out == f"{tmp_path / 'made.code'}: 2.3 MB\n" * len(kinds)
 
 
+def test_each_kind_is_compiled_by_itself_with_an_empty_cache(monkeypatch, tmp_path):
+    """Numba cannot write what it has loaded from a cache, or from a package."""
+    calls = []
+
+    def run_instead(command, env, check):
+        assert check and list(Path(env["NUMBA_CACHE_DIR"]).iterdir()) == []
+        assert env["NUMBA_OPT"] == "3"  # where it is set, code of the package is not loaded
+        about = {name: env[name] for name in settings_for("x86-64-v3")}
+        calls.append((command[-1], about, env["NUMBA_CACHE_DIR"]))
+
+    monkeypatch.setattr(ship.subprocess, "run", run_instead)
+    kinds = ["x86-64-v4", "x86-64-v3"]
+    files = [tmp_path / f"{kind}.code" for kind in kinds]
+    assert ship.ship(kinds, tmp_path) == files
+    expected = [(str(f), settings_for(kind)) for f, kind in zip(files, kinds, strict=True)]
+    assert [call[:2] for call in calls] == expected
+    assert len({cache for *_, cache in calls}) == 2
+
+
 @pytest.mark.parametrize("kind", [*KINDS, GENERIC])
 def test_the_settings_for_a_kind_choose_it(kind):
     code = "from async_tnt.kernels.target import LANES, chosen_kind; print(chosen_kind(), LANES)"
