@@ -23,7 +23,10 @@ from async_tnt import (
 )
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.network.forward import forward
 from async_tnt.kernels.sources.pixels import RECORD_BYTES, count_events, keep_events
+from async_tnt.networks.layers.program import make_program
 from async_tnt.volume.events import EventDecoder
 
 
@@ -78,9 +81,14 @@ LARGE_SENSOR = TNTConfig(sensor=(200, 150), grid=(200, 150))
 
 
 def whole_passes():
-    network = CompiledNetwork(raw_model(LARGE_SENSOR))
-    array = np.ones(LARGE_SENSOR.shape, np.float32)
-    return lambda: network(array)
+    model = raw_model(LARGE_SENSOR)
+    arrays = make_program(model.network["classifier"], LARGE_SENSOR.shape, model.weights).arrays
+
+    def compute():
+        arrays.program[P.STALE] = 1
+        forward(*arrays)
+
+    return compute
 
 
 def raw_outputs():

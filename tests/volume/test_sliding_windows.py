@@ -381,8 +381,12 @@ def test_decisions_are_about_the_window_as_it_is_then(window):
         assert decision.window_start_us == inside["t"][0]
 
 
-def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then():
+@pytest.mark.parametrize("stretch", [1, 500], ids=["in one compiled call", "one by one"])
+def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then(
+    stretch, monkeypatch
+):
     """Also those that leave without a new event are gone."""
+    monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", stretch)
     model = small_model(last_us=300)
     events = random_events(40, duration_us=6_000, sensor=SENSOR)
     decisions = list(stream(events, model, every_us=250, start_us=0))
@@ -449,7 +453,8 @@ def test_confidence_tells_when_the_class_changes(window, is_compiled, other):
 
 
 @pytest.mark.parametrize("is_compiled", [True, False])
-def test_a_window_that_is_empty_at_a_decision_begins_at_its_newest_event(is_compiled):
+def test_a_window_that_is_empty_at_a_decision_begins_at_its_newest_event(is_compiled, monkeypatch):
+    monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", 1)  # in one compiled call
     model = small_model(last_us=30)
     classifier = CompiledClassifier(model)
     how = {} if is_compiled else {"classifier": lambda volume: classifier(volume)}
