@@ -77,7 +77,7 @@ def others_run_during(compute) -> bool:
         other.join()
 
 
-LARGE_SENSOR = TNTConfig(sensor=(200, 150), grid=(200, 150))
+LARGE_SENSOR = TNTConfig(sensor=(200, 150), grid=(200, 150), transform="none")
 
 
 def whole_passes():
