@@ -204,6 +204,32 @@ def test_logits_are_spikes_or_membranes_as_they_are_then(ops):
     assert n_tied > 20 and (n_leaky > 20 or ops == ("if",))
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"every_events": 4}, {"confidence": 0.9}, {"every_events": 3, "confidence": 0.8}],
+    ids=str,
+)
+def test_moments_in_pauses_are_the_same_in_one_compiled_call(settings, monkeypatch):
+    """At moments without new events nothing is decided, also where they are windows apart."""
+    model = random_spiking_model(9)
+    rng = np.random.default_rng(4)
+    events = events_of(CONFIG, 250)
+    events["t"] = np.cumsum(
+        rng.choice([0, 3, 20, 150, 700, 2500], 250, p=[0.3, 0.3, 0.2] + [0.2 / 3] * 3)
+    )
+    one_by_one = Processor(model, every_us=50, **settings)
+    expected = [told(d) for event in events.tolist() for d in one_by_one.push_one(*event)]
+    assert sum(trigger == "every_us" for trigger, *_ in expected) > 15
+    for length in (1, 10_000):  # of a packet that is decided in one call
+        monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", length)
+        assert [told(d) for d in Processor(model, every_us=50, **settings).push(events)] == expected
+
+
+def told(decision):
+    about = (decision.trigger, decision.window_start_us, decision.time_us, decision.events)
+    return *about, decision.label, decision.logits.tolist()
+
+
 def test_a_model_for_another_sensor_has_the_same_neurons():
     conv, weights = layer(
         "conv",

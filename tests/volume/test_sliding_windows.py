@@ -389,7 +389,8 @@ def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then(
     monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", stretch)
     model = small_model(last_us=300)
     events = random_events(40, duration_us=6_000, sensor=SENSOR)
-    decisions = list(stream(events, model, every_us=250, start_us=0))
+    processor = Processor(model, every_us=250, start_us=0)
+    decisions = processor.push(events) + processor.finish()
     moments = np.arange(250, events["t"][-1] + 1, 250)
     # a decision at a moment if events came since the last one, made when a later event comes
     expected = []
@@ -459,7 +460,7 @@ def test_a_window_that_is_empty_at_a_decision_begins_at_its_newest_event(is_comp
     classifier = CompiledClassifier(model)
     how = {} if is_compiled else {"classifier": lambda volume: classifier(volume)}
     events = events_of([10, 400], [1, 2], [1, 2], [1, 1])
-    decision, _ = stream(events, model, every_us=100, start_us=0, **how)
+    (decision,) = Processor(model, every_us=100, start_us=0, **how).push(events)
     about = (decision.trigger, decision.window_start_us, decision.time_us, decision.events)
     assert about == ("every_us", 10, 10, 0)
 
