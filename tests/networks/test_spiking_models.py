@@ -206,7 +206,10 @@ def test_other_layers_without_a_meaning_are_refused():
     with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
         replace(base, config=base.config.replace(sensor=(8, 6)))
     with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
-        replace(base, config=base.config.replace(representation="count_time", polarity="unsigned"))
+        replace(base, config=base.config.replace(representation="mean_time"))
+    one_channel = base.weights | {"fc.weight": base.weights["fc.weight"][:, :12]}
+    with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
+        replace(base, config=base.config.replace(polarity="unsigned"), weights=one_channel)
     with pytest.raises(ValueError, match="the outputs of this spiking network must be spike"):
         replace(base, classes=(), outputs={"out": "out"})
     with pytest.raises(ValueError, match="the network must compute 3 logits"):
