@@ -175,7 +175,7 @@ def test_the_input_is_scaled_to_a_root_mean_square_of_one(monkeypatch):
     assert input_scale(config, both) == pytest.approx(1 / np.sqrt((1 + 1 / 16) / 2))
     # of many windows some are measured, spread over all
     monkeypatch.setattr(pipeline_module, "N_MEASURED", 2)
-    three = make_windows(Recordings.from_events([four, one, one], [0, 1, 1]), 100)
+    three = make_windows(Recordings.from_events([four, four, one], [0, 0, 1]), 100)
     assert input_scale(config, three) == pytest.approx(1 / np.sqrt((1 + 1 / 16) / 2))
     # volumes in which all events cancel out have a scale, too
     signed = config.replace(polarity="signed", representation="volume")
