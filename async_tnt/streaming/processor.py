@@ -124,8 +124,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         open windows, call `reset()`, and use these events. "raise": raise a ValueError before any
         event of the packet is used. `async_tnt.streaming.restarts` says how a restart is told from
         late events.
-
-    keep_neurons : of a spiking model, whether neurons go on from window to window, see
+    keep_neurons : whether the neurons of a spiking model go on from window to window, see
         `SpikingVolume`. By default each window begins with neurons at rest.
 
     A copy continues the stream, bit for bit, and so does a pickle. `every_us`, `every_events`,

@@ -277,6 +277,8 @@ def test_a_full_window_of_a_time_loses_its_oldest_events(monkeypatch):
         found.append((volume.array.tobytes(), volume.n_left_early, volume.n_events))
     assert found[0] == found[1] == found[2] and 0 < found[0][1] < 300 and found[0][2] == 5
     np.testing.assert_array_equal(volume.array, image(events[-5:], config))
+    volume.reset()
+    assert volume.n_left_early == 0
 
 
 def small_model(**window):
