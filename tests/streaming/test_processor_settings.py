@@ -19,9 +19,11 @@ BY_3 = CONFIG.replace(window_events=3)
 
 def test_decision_carries_logits_probabilities_and_label():
     processor = Processor(
-        CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"]
+        CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"], start_us=70
     )
-    processor.push(at([5]))
+    empty = processor.fire()
+    assert (empty.window_start_us, empty.time_us, empty.events) == (70, 70, 0)
+    processor.push(at([75]))
     decision = processor.fire()
     assert (decision.label, decision.index, decision.complete) == ("dog", 1, False)
     assert decision.probabilities == pytest.approx([0.25, 0.75])

@@ -140,6 +140,9 @@ def test_defaults_that_depend_on_the_representation_and_the_windows():
     image = TNTConfig(representation="count_time")
     assert (image.bins, image.polarity, image.transform) == (2, "split", "none")
     assert image.shape == (4, 34, 34)
+    for landmark in ("window", "regressor"):
+        assert TNTConfig(landmark=landmark).needs_replay
+        assert not TNTConfig(landmark=landmark, transform="none").needs_replay
     five_bins = TNTConfig(bins=5, polarity="unsigned")
     assert five_bins.replace(representation="mean_time").shape == (2, 34, 34)
     assert image.replace(representation="volume") == TNTConfig()
