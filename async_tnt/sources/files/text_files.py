@@ -335,8 +335,8 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
     if n_comments == len(rows):  # no event in the first 64 KiB
         last = rows[-1] if rows else _Row("", 0, 0, 1)
         order = options.columns or _usual_order(sensor)
-        header = _header_in(rows, len(order)) or list(order)
-        return _csv_source(path, last.start, last.line, header, ",", sensor)
+        names = _header_in(rows, len(order)) or list(order)
+        return _csv_source(path, last.start, last.line, names, ",", sensor)
 
     first = rows[n_comments]
     separator, words = _split(first.text)
