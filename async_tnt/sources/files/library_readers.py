@@ -91,7 +91,7 @@ def head_of(read: Reader, path: str) -> tuple[Any, Any]:
 
 
 def next_block() -> Any:
-    """The next events, mostly as columns; None at the end."""
+    """The next block that the reader yields; None at the end."""
     return next(_blocks, None)
 
 
