@@ -253,19 +253,24 @@ def test_a_source_may_be_a_sequence_and_may_close_its_reader():
 
     with BackgroundReader(Packets()) as reader:
         assert sum(map(len, reader)) == 750
-    went_on = threading.Event()
-    starts = threading.Event()
+    is_made = threading.Event()
+    outcome = []
 
     def source():
         yield EQUAL[0]
-        assert starts.wait(60)
-        reader.close()
-        went_on.set()
+        assert is_made.wait(60)
+        try:
+            reader.close()
+        except RuntimeError as error:  # a thread cannot wait for itself
+            outcome.append(error)
+        else:
+            outcome.append("closed")
 
     reader = BackgroundReader(source())
-    starts.set()
+    is_made.set()
     assert sum(map(len, reader)) in (0, 250)
-    until(went_on.is_set)
+    until(lambda: outcome)
+    assert outcome == ["closed"]
 
 
 def test_what_queues_share_has_one_default():
