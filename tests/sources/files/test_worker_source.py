@@ -183,10 +183,6 @@ def test_no_worker_is_left_but_one_for_the_next_file(tmp_path, monkeypatch):
     next(left)
     left.close()
     assert running() == [] and worker_source._idle == {}
-    list(source.blocks())
-    assert len(running()) == 1
-    worker_source._end_idle()
-    assert running() == []
 
 
 def test_events_off_the_sensor_are_read_in_files_of_many_packets(tmp_path):
