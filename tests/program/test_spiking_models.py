@@ -51,6 +51,7 @@ def test_bench_counts_spikes_and_additions(program, model):
     report = json.loads(text)
     volume = SpikingVolume(MODEL)
     spikes = dict.fromkeys(volume.network.layers, 0)
+    additions = dict.fromkeys(volume.network.layers, 0)
     n_events = 0
     for path in sample_recordings().values():
         events = open_recording(path).read()
@@ -59,11 +60,17 @@ def test_bench_counts_spikes_and_additions(program, model):
         n_events += volume.n_events
         for layer in spikes:
             spikes[layer] += volume.spikes(layer)
+            additions[layer] += volume.additions(layer)
     assert code == 0 and "us_a_whole_pass" not in report and "multiplications" not in report
     assert report["spikes_an_event"] == {name: n / n_events for name, n in spikes.items()}
-    assert min(report["additions_an_event"].values()) >= 0 < report["decisions_a_second"]["median"]
+    assert report["additions_an_event"] == {name: n / n_events for name, n in additions.items()}
+    assert len(spikes) > 1 and report["decisions_a_second"]["median"] > 0
     code, text, _ = program("bench", "--model", model)
-    assert "ns an event into the network" in text and "one event causes spikes in layer" in text
+    by_layer = ", ".join(f"{name} {n / n_events:.2f}" for name, n in spikes.items())
+    n_added = f"{sum(additions.values()) / n_events:,.0f}"
+    assert "ns an event into the network" in text
+    last = f"one event causes spikes in layer {by_layer}; {n_added} weights added"
+    assert text.splitlines()[-1] == last
 
 
 def test_check_compares_spikes_and_membranes(program, model, monkeypatch):
