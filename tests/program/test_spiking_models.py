@@ -154,6 +154,35 @@ def test_info_lists_the_nodes_of_a_graph(program, graph):
     assert len(report["nodes"]) == len(nodes)
 
 
+def test_info_lists_a_graph_with_a_circle_and_its_large_fields(program, tmp_path):
+    """Of more than four numbers, by shape; --json has all."""
+    nir = pytest.importorskip("nir", reason="needs the extra `nir`")
+    graph = nir.NIRGraph(
+        {
+            "input": nir.Input({"input": np.array([2])}),
+            "small": nir.Linear(np.ones((2, 2))),
+            "large": nir.Linear(np.ones((1, 5))),
+            "output": nir.Output({"output": np.array([2])}),
+        },
+        [("input", "small"), ("small", "large"), ("large", "small"), ("small", "output")],
+        type_check=False,
+    )
+    nir.write(tmp_path / "net.nir", graph)
+    code, text, _ = program("info", tmp_path / "net.nir")
+    head, *nodes, _ = text.splitlines()
+    assert code == 0 and head.endswith("net.nir: NIR graph, 4 nodes, 4 edges")
+    words = sorted(" ".join(line.split()) for line in nodes)
+    assert words == [
+        "input Input",
+        "large Linear reads small; weight 1x5",
+        "output Output reads small",
+        "small Linear reads input, large",
+    ]
+    report = json.loads(program("info", tmp_path / "net.nir", "--json")[1])
+    assert report["nodes"]["small"] == {"type": "Linear", "shapes": {"weight": [2, 2]}}
+    assert ["large", "small"] in report["edges"] and len(report["edges"]) == 4
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -243,7 +243,7 @@ def test_info_and_check_know_a_taught_model(program, base, lesson, tmp_path):
     [
         (
             4,
-            "  how many are right and how sure it is cannot be told from 4: give 5 or more; 10 are g",
+            "  how many are right and how sure it is cannot be told from 4: give 5 or more",
         ),
         (5, "  80% right of what was left out in turn; 10 recordings are good"),
         (9, "  80% right of what was left out in turn; 10 recordings are good"),
