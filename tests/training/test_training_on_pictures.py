@@ -449,7 +449,7 @@ def test_objects_of_many_sizes_are_learned_in_scenes_of_the_sensor(tmp_path, pro
     assert model.by_share and model.has_sizes
     # the smallest objects have about 10 cells: 50 along the shorter side, in steps of 8
     assert (model.config.sensor, model.config.grid) == ((96, 64), (72, 48))
-    assert model.logits_shape == (2 + 5, 12, 18) and model.record["network"] == "pyramid"
+    assert model.logits_shape == (2 + 5, 12, 18) and model.record["network"] == "boxes"
     settings_of_pictures = model.record["data"]["pictures"]["settings"]
     # 2.4 times the largest object of 32 pixels
     assert settings_of_pictures["sensor"] == [77, 77] and settings_of_pictures["cut_out"] is True
