@@ -226,7 +226,9 @@ class SceneScores:
 
 
 def _extents(size: np.ndarray) -> np.ndarray:
-    """What stands for a recording's shorter side beside objects of any size, twice: (N, 2).
+    """What stands for a recording's shorter side, for objects of any size.
+
+    Returns (N, 2), with the same number for x and for y.
 
     size : (N, 2), the width and height of the objects' boxes.
     """

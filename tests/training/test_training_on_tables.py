@@ -33,6 +33,7 @@ from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.plan import Plan
 from async_tnt.training.recordings import BOX_DTYPE, Recordings
 from async_tnt.training.run_folder import windows_checksum
+from async_tnt.training.scenes import Scales
 from async_tnt.training.table_scenes import TableScenes, maker_of, more_than_noise
 from async_tnt.training.table_windows import windows_before
 from async_tnt.training.windows import Windows
@@ -436,6 +437,19 @@ def test_more_events_than_noise_by_hand():
     more = more_than_noise(events, np.zeros(2, np.int64), low, high)
     # a quiet block has one event a cell, and a box covers whole cells
     assert more.tolist() == [4 * 8 * 5, 4 * 8 * 5]
+    # a sensor smaller than a block is one block
+    small = np.ones((2, 4, 5))
+    small[1, 1:3, 2:4] = 6  # a mean of 2
+    box = np.array([[2.0, 1.0]] * 2), np.array([[4.0, 3.0]] * 2)
+    assert more_than_noise(small, np.arange(2), *box).tolist() == [0, 4 * (6 - 2)]
+
+
+def test_objects_larger_than_the_sensor_count_as_large_as_it(tmp_path):
+    events, rows = recording(5)
+    large = [row._replace(x=row.x - 40, y=row.y - 40, w=row.w + 80, h=row.h + 80) for row in rows]
+    write_csv(tmp_path / "a", "one", events, large)
+    data = dataset_data(tmp_path / "a", CHOICE, split=Split(validation=0))
+    assert data.record["sizes"] == [1, 1] and data.config.grid == Scales(1, 1).grid(SENSOR)
 
 
 def test_recordings_with_boxes_are_for_map_models(tmp_path):
@@ -507,6 +521,7 @@ def test_other_windows_and_one_class(tmp_path, program, few_steps):
     assert code == 0, err
     model = load_model(out)
     assert model.classes == ("thing",) and model.config.last_us == 30_000
+    assert model.config.grid == model.config.sensor == (64, 48)
     code, _, err = program(*words)
     assert code == 2 and "--sensor must be given: no recording of" in err
 
