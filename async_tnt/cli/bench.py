@@ -139,7 +139,8 @@ def _packets(events: np.ndarray) -> list[np.ndarray]:
 def _first_window(model: Model, events: np.ndarray) -> np.ndarray:
     """The events of a recording's first window."""
     in_window = events["t"] < events["t"][0] + model.config.window_us
-    return events[in_window][: model.config.window_events]
+    window: np.ndarray = events[in_window][: model.config.window_events]
+    return window
 
 
 def _new_volume(model: Model) -> TNTVolume:

@@ -282,10 +282,10 @@ def test_recordings_are_read_by_the_options(program, base, lesson, tmp_path):
         text = "".join(f"{x},{y},{p},{t}\n" for x, y, p, t in rows)
         (lesson / f"{i}.npz").unlink()
         (lesson / f"{i}.csv").write_text(text)
-        inside = (events["t"] < 2000) & (events["x"] >= 8) & (events["y"] >= 4)
-        parts.append(events[inside & (events["x"] < 20) & (events["y"] < 16)])
+        inside = (events["t"] < 2000) & (events["x"] >= 14) & (events["y"] >= 12)
+        parts.append(events[inside])
     reading = ("--columns", "xypt", "--between-us", "0,2000", "--sensor", "20x16")
-    words = ("--class", "d", lesson, "--roi", "8,4,12,12", *reading, "--out", out)
+    words = ("--class", "d", lesson, "--roi", "14,12,6,4", *reading, "--out", out)
     code, _, err = program("teach", base, *words)
     assert code == 0, err
     assert load_model(out).record == load_model(base).with_class("d", parts).record
