@@ -236,6 +236,12 @@ def test_late_events_are_reported(program):
     assert f" of {n} events were too late and dropped (see --start-us)\n" in message
 
 
+def test_a_recording_that_ends_before_the_start_has_no_event_in_any_window(program):
+    code, printed, err = program("run", "--start-us", 10**9, "--json", SAMPLES[5])
+    assert (code, printed) == (2, "")
+    assert err.splitlines()[-1] == f"async-tnt: {SAMPLES[5]}: no event in any window"
+
+
 def test_events_older_than_the_newest_one_are_used(program, tmp_path):
     events = open_recording(SAMPLES[5]).read()[:1000]
     events["t"][500] = events["t"][499] - 1

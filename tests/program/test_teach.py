@@ -114,6 +114,38 @@ def test_what_is_empty_damaged_or_there_twice_is_left_out(program, base, lesson,
     assert len({copy, damaged, empty}) == 3
 
 
+def test_what_is_left_out_of_a_class_is_told_once(program, base, lesson, tmp_path):
+    """And is no reason why there is nothing to learn another class from."""
+    empty = write(tmp_path / "empty.npz", recording(3, 0)[:0])
+    write(tmp_path / "e" / "0.npz", recording(4, 0))
+    (tmp_path / "f").mkdir()
+    for last, code in ((tmp_path / "e", 0), (tmp_path / "f", 2)):
+        words = ("--class", "d", lesson, empty, "--class", "e", last)
+        found, _, err = program("teach", base, *words, "--out", tmp_path / "m.safetensors")
+        assert found == code and err.count("left out: ") == err.count("empty.npz") == 1
+
+
+def test_windows_of_nothing_are_of_so_many_recordings_of_each_class(
+    program, base, tmp_path, monkeypatch
+):
+    without = replace(load_model(base), statistics=None).save(tmp_path / "old.safetensors")
+    for k, name in enumerate(CLASSES):
+        for i in range(5):
+            write(tmp_path / "set" / name / f"{i}.npz", recording(k, i))
+    read = []
+    with_nothing = teach.with_nothing
+
+    def noted(model, windows):
+        read.extend(np.unique(windows.recording))
+        return with_nothing(model, windows)
+
+    monkeypatch.setattr(teach, "with_nothing", noted)
+    monkeypatch.setattr(teach, "MOST_KEPT", 2)
+    words = ("--statistics", tmp_path / "set", "--out", tmp_path / "new.safetensors")
+    assert program("teach", without, *words)[0] == 0
+    assert len(read) == 2 * len(CLASSES)
+
+
 def test_few_recordings_are_taught_with_a_word(program, base, lesson, tmp_path):
     out = tmp_path / "more.safetensors"
     code, stdout, _ = program("teach", base, "--class", "d", lesson / "0.npz", "--out", out)
