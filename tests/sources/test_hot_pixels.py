@@ -99,6 +99,33 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
     assert hot_pixels(counts).any() == is_hot
 
 
+@pytest.mark.parametrize(("n_neighbours", "is_hot"), [(3, True), (4, False)])
+def test_four_bright_pixels_of_the_block_around_explain_a_pixel(n_neighbours, is_hot):
+    """The block reaches two pixels from the pixel, or further from one at a border."""
+    for x, y in ((9, 9), (0, 0), (19, 29)):
+        counts = np.full((30, 20), 8)
+        left = min(max(x - 2, 0), 15)
+        top = min(max(y - 2, 0), 25)
+        corners = [(left + dx, top + dy) for dx in (0, 4) for dy in (0, 4)]
+        others = [corner for corner in corners if corner != (x, y)] + [(left + 1, top + 3)]
+        for column, row in others[:n_neighbours]:
+            counts[row, column] = 30
+        for k in range(5):  # pixels that lie beyond the block do not count
+            for column, row in ((left + 5, top + k), (left - 1, top + k), (left + k, top + 5)):
+                if 0 <= column < 20 and row < 30:
+                    counts[row, column] = 30
+        counts[y, x] = 120
+        assert hot_pixels(counts)[y, x] == is_hot, (x, y)
+
+
+@pytest.mark.parametrize("sensor", [(4, 30), (30, 4), (3, 3), (2, 1)])
+def test_a_sensor_may_be_smaller_than_the_block(sensor):
+    """Of pixels that are too few to explain any, none is hot."""
+    x, y = sensor[0] - 1, sensor[1] - 1
+    packets = list(planted([(x, y)], 500))
+    assert found(packets, sensor) == ({(x, y)} if sensor[0] * sensor[1] > 4 else set())
+
+
 def test_hot_pixels_are_listed_busiest_first():
     counts = np.array([[7, 9, 1], [8, 9, 2]])
     assert listed_pixels(counts, counts > 6) == [
