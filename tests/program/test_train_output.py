@@ -139,6 +139,10 @@ def test_windows_of_a_class_are_told_where_few_recordings_are_held_out(n, is_tol
             r"--validation 0.5 --groups 'user\d+' --network mine.py:build --seed 7",
         ),
         ("set --mask hot.npy --camera a.npz", "--mask MASK"),
+        (
+            "set --everywhere --sensor 96x64 --scales 0.2-0.5",
+            "--sensor 96x64 --scales 0.2-0.5 --everywhere",
+        ),
     ],
 )
 def test_the_command_in_the_record_repeats_what_decides_and_names_no_folder(words, told):
