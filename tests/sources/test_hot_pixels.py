@@ -206,12 +206,18 @@ def test_an_error_names_its_recording_once(tmp_path, program):
     assert code == 2 and err.count(str(path)) == 1 and "off the 34 x 34 sensor" in err
 
 
-@pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])
+@pytest.mark.parametrize(("n", "more"), [(1, []), (9, []), (10, []), (11, ["... and 1 more"])])
 def test_at_most_ten_hot_pixels_are_listed(tmp_path, program, n, more):
     path = with_hot_pixels(tmp_path / "a.npy", *((3 * k, 2 + 2 * (k % 2), 900) for k in range(n)))
     code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", tmp_path / "mask.npy")
     *pixels, total = printed.splitlines()
-    assert code == 0 and total.startswith(f"{n} hot pixels of 34x34 made ")
+    number = "1 hot pixel" if n == 1 else f"{n} hot pixels"
+    assert code == 0 and total.startswith(f"{number} of 34x34 made ")
+    events = open_recording(path).read()
+    x, y = (int(pixels[0].split()[k]) for k in (1, 3))
+    n_first = int(((events["x"] == x) & (events["y"] == y)).sum())
+    share = f"{n_first / len(events):.2%}"
+    assert pixels[0].split() == ["x", str(x), "y", str(y), str(n_first), "events", share]
     assert pixels[10:] == more and all(line.startswith("x ") for line in pixels[:10])
     assert len(pixels[:10]) == min(n, 10)
 
