@@ -119,8 +119,10 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
     assert found["confident_us"][LEVELS.index(level)] == 420  # when the event at 410 was known
 
 
-def decided(time_us, trigger="every_us", start_us=0):
-    return SimpleNamespace(time_us=time_us, trigger=trigger, window_start_us=start_us, events=7)
+def decided(time_us, trigger="every_us", start_us=0, events=7):
+    return SimpleNamespace(
+        time_us=time_us, trigger=trigger, window_start_us=start_us, events=events
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,6 +150,12 @@ def decided(time_us, trigger="every_us", start_us=0):
             TNTConfig(representation="count", last_events=7),
             [(3, "every_events", 1), (102, "every_events", 9), (102, "end", 9)],
             [(1, 1), (9, 1)],
+        ),
+        # events of one time: each decision counts, and the end if the window has grown
+        (
+            TNTConfig(representation="count", last_events=7),
+            [(3, "every_events", 1), (3, "every_events", 2), (3, "end", 2, 6)],
+            [(1, 1), (2, 1), (2, 1)],
         ),
     ],
 )

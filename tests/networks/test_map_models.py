@@ -374,6 +374,16 @@ def test_no_number_is_given_again_by_another_classifier():
     assert ids == [0, 0, 1]
 
 
+def test_maps_may_change_their_shape_from_decision_to_decision():
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40))
+    finder = OneObject()
+    processor = Processor(config, classifier=finder, classes=["a"])
+    for side, place in ((10, 21.5), (20, 10.5), (10, 21.5)):
+        finder.logits_shape = 2, side, side
+        (found,) = processor.fire().objects
+        assert (found.x, found.y) == pytest.approx((place, place))
+
+
 WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsigned")
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from async_tnt import Model, Processor, SpikingVolume, TNTConfig
+from async_tnt.base.box import Box
 
 CONFIG = TNTConfig(sensor=(4, 3), grid=(4, 3), representation="count", window_us=1_000_000)
 
@@ -276,6 +277,7 @@ def test_raw_outputs_are_spikes_membranes_and_first_times():
     assert output["membranes"].tolist() == [1.0, 0.5]
     assert output["first_spike_us"].tolist() == [700.0, -1.0]
     assert not any(array.flags.writeable for array in output.arrays)
+    assert output.changed == (Box(0, 0, 1, 1),) * 3
 
 
 def test_a_huge_number_of_spikes_leaves_nothing():

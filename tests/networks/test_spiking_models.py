@@ -18,6 +18,8 @@ from async_tnt import (
     load_model,
     stream,
 )
+from async_tnt.base.box import Box
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 from async_tnt.networks.models.torch_modules import torch_classifier
 
 
@@ -239,6 +241,8 @@ def test_settings_of_a_stream():
         Processor(model, classes=["a", "b"])
     with pytest.raises(ValueError, match="`classes` are for a network of logits"):
         Processor(raw, classes=["a", "b", "c"])
+    network = SpikingNetwork(model)
+    assert Processor(model, classifier=network).classifier is network
     processor = Processor(model)
     with pytest.raises(TypeError, match="`classifier` cannot be exchanged"):
         processor.classifier = lambda volume: [0, 0, 0]
@@ -330,3 +334,4 @@ def test_a_model_for_another_sensor_has_the_same_neurons():
     volume = SpikingVolume(large)
     volume.update_one(5, 19, 15, 1)
     assert volume.spikes() == 8  # of 2 x 2 places in the corner
+    assert Processor(large).fire().changed == (Box(0, 0, 20, 16),) * 3

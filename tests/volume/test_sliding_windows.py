@@ -14,6 +14,7 @@ from made import events_of, nasty_streams, random_events, random_model
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model, stream
 from async_tnt.kernels.volume import state as S
 from async_tnt.volume import config as config_module
+from async_tnt.volume.config import with_an_end
 
 torch = pytest.importorskip("torch", reason="the reference needs torch")
 
@@ -213,6 +214,8 @@ def test_a_window_of_a_number_of_events_by_hand():
 def test_a_window_of_a_time_by_hand():
     """An event as old as the window has left it."""
     volume = TNTVolume(config_of(last_us=20))
+    volume.open(7)
+    assert volume.moment() == (7, 7, 0)
     volume.open(0)
     volume.update(([10, 20, 29], [1, 2, 3], [1, 2, 3], [1, 1, 1]))
     assert volume.n_events == 3 and volume.moment() == (10, 29, 3)
@@ -278,6 +281,8 @@ def test_a_full_window_of_a_time_loses_its_oldest_events(monkeypatch):
         found.append((volume.array.tobytes(), volume.n_left_early, volume.n_events))
     assert found[0] == found[1] == found[2] and 0 < found[0][1] < 300 and found[0][2] == 5
     np.testing.assert_array_equal(volume.array, image(events[-5:], config))
+    volume.reset()
+    assert volume.n_left_early == 0
 
 
 class FullWindow:
@@ -579,6 +584,8 @@ def test_configurations_as_data(tmp_path):
         assert load_model(model.save(tmp_path / "m.safetensors")).config == model.config
         assert config.replace(**{name: None for name in window}) == config_of()
     assert not {"last_events", "last_us"} & set(TNTConfig().to_dict())
+    assert config_of(last_events=5).window_us == 3_600_000_000
+    assert with_an_end(config_of(last_us=7)) == config_of(window_us=7)
     assert config_of(last_us=7).replace(last_us=9).last_us == 9
     assert config_of().replace(last_us=9) == config_of(last_us=9)
 
