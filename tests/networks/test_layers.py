@@ -183,6 +183,176 @@ def test_parameters_have_their_kind_of_number(op, parameters, message):
         layer_shapes(layers, (4, 6, 5), {})
 
 
+SOURCES = [
+    {"op": "max_pool", "name": "pooled", "inputs": ["volume"], **window(2, 0, 2)},
+    {"op": "pick", "name": "first", "inputs": ["volume"], "channels": [0]},
+    {"op": "pick", "name": "two", "inputs": ["volume"], "channels": [0, 1]},
+    {"op": "global_average_pool", "name": "place", "inputs": ["volume"]},
+    {"op": "flatten", "name": "four", "inputs": ["place"]},
+    {"op": "dense", "name": "one", "inputs": ["four"], "weights": {"weight": "1 x 4"}},
+]
+"""Inputs (4, 3, 2), (1, 6, 5), (2, 6, 5), (4, 1, 1), (4,) and (1,), of a volume (4, 6, 5)."""
+
+TENSORS = {
+    "1": (1,),
+    "3": (3,),
+    "4": (4,),
+    "0 x 4": (0, 4),
+    "1 x 4": (1, 4),
+    "3 x 4": (3, 4),
+    "3 x 5": (3, 5),
+    "()": (),
+}
+"""Name -> shape of weights."""
+
+
+def weights(**names):
+    return {"weights": names}
+
+
+@pytest.mark.parametrize(
+    ("op", "inputs", "parameters", "shape"),
+    [
+        ("add", ["volume"] * 3, {}, (4, 6, 5)),
+        ("add", ["place", "volume"], {}, (4, 6, 5)),
+        ("add", ["first", "place"], {}, (4, 6, 5)),
+        ("multiply", ["volume", "first"], {}, (4, 6, 5)),
+        ("multiply", ["four", "four"], {}, (4,)),
+        ("concat", ["volume", "first"], {}, (5, 6, 5)),
+        ("concat", ["one", "four"], {}, (5,)),
+        ("pick", ["volume"], {"channels": [3]}, (1, 6, 5)),
+        ("depth_to_space", ["volume"], {"block": 2}, (1, 12, 10)),
+        ("expand", ["place"], {"size": [3, 2]}, (4, 3, 2)),
+        ("heatmap_centroid", ["first"], {}, (2,)),
+        ("dense", ["four"], weights(weight="3 x 4", bias="3"), (3,)),
+        ("prelu", ["volume"], weights(slope="1"), (4, 6, 5)),
+        ("prelu", ["volume"], weights(slope="4"), (4, 6, 5)),
+        ("max_pool", ["volume"], window(2) | {"stride": [32767, 1]}, (4, 1, 4)),
+        ("bilinear_corners", ["volume"], {"block": 64}, (4, 384, 320)),
+        ("softshrink", ["volume"], {"lambd": 0}, (4, 6, 5)),
+    ],
+)
+def test_the_shape_of_what_fits(op, inputs, parameters, shape):
+    layer = {"op": op, "name": "tested", "inputs": inputs, **parameters}
+    assert layer_shapes([*SOURCES, layer], (4, 6, 5), TENSORS)["tested"] == shape
+
+
+NO_MAP = "its input must be a map (C, H, W), got (4,)"
+ONE_SHAPE = "its inputs must have one shape"
+
+
+@pytest.mark.parametrize(
+    ("op", "inputs", "parameters", "message"),
+    [
+        ("add", ["volume", "place", "place"], {}, f"{ONE_SHAPE}, got (4, 6, 5), (4, 1, 1), (4, "),
+        ("add", ["volume", "pooled"], {}, f"{ONE_SHAPE}, or one place or channel for all, got (4"),
+        ("add", ["volume", "two"], {}, f"{ONE_SHAPE}, or one place or channel for all, got (4, 6"),
+        ("multiply", ["four", "place"], {}, f"{ONE_SHAPE}, or one place or channel for all, got ("),
+        ("multiply", ["four", "one"], {}, f"{ONE_SHAPE}, or one place or channel for all, got (4,"),
+        ("multiply", ["volume"] * 3, {}, "must have 2 inputs, got 3"),
+        ("concat", ["volume", "pooled"], {}, "its inputs must differ in their channels only, got "),
+        (
+            "concat",
+            ["four", "place"],
+            {},
+            "its inputs must differ in their channels only, got (4,)",
+        ),
+        ("pick", ["volume"], {"channels": [0, 4]}, "its channels must be below 4, got 4"),
+        (
+            "pick",
+            ["volume"],
+            {"channels": []},
+            "`channels` must be a list of at least one whole nu",
+        ),
+        (
+            "pick",
+            ["volume"],
+            {"channels": [-1]},
+            "`channels` must be a list of at least one whole ",
+        ),
+        ("depth_to_space", ["volume"], {"block": 4}, "blocks of 4 x 4 must divide its 4 channels"),
+        ("expand", ["volume"], {"size": [3, 2]}, "its input must be a map of one place, got (4, 6"),
+        ("expand", ["four"], {"size": [3, 2]}, "its input must be a map of one place, got (4,)"),
+        ("heatmap_centroid", ["two"], {}, "its input must be a heatmap (1, H, W), got (2, 6, 5)"),
+        ("heatmap_centroid", ["one"], {}, "its input must be a heatmap (1, H, W), got (1,)"),
+        ("dense", ["volume"], weights(weight="3 x 4"), "its input must be flat, got (4, 6, 5): a "),
+        ("dense", ["four"], weights(weight="0 x 4"), "it must have at least one unit"),
+        ("dense", ["four"], weights(weight="()"), "it must have at least one unit"),
+        (
+            "dense",
+            ["four"],
+            weights(weight="3 x 5"),
+            "its weight must have shape (3, 4) here, got ",
+        ),
+        (
+            "dense",
+            ["four"],
+            weights(weight="3 x 4", bias="4"),
+            "its bias must have shape (3,) here",
+        ),
+        ("prelu", ["volume"], weights(slope="3"), "its slope must have shape (4,) here, got (3,)"),
+        (
+            "prelu",
+            ["volume"],
+            weights(slope=4),
+            "`weights` must map roles to names of tensors, got",
+        ),
+        ("prelu", ["volume"], weights(slope="5"), "no tensor is named '5'"),
+        ("relu", [3], {}, "`inputs` must be a list of names, got [3]"),
+        (
+            "layer_norm",
+            ["volume"],
+            {"epsilon": 0, **weights(bias="3")},
+            "its bias must have shape (",
+        ),
+        (
+            "group_norm",
+            ["volume"],
+            {"epsilon": 0, "groups": 3, **weights()},
+            "its 3 groups must divide its 4 channels",
+        ),
+        ("group_norm", ["four"], {"epsilon": 0, "groups": 2, **weights()}, NO_MAP),
+        ("depth_to_space", ["four"], {"block": 2}, NO_MAP),
+        ("bilinear_corners", ["four"], {"block": 2}, NO_MAP),
+        ("zero_pad", ["four"], {"padding": [1, 0, 0, 0]}, NO_MAP),
+        ("edge_pad", ["four"], {"padding": [1, 0, 0, 0]}, NO_MAP),
+        ("max_pool", ["four"], window(1), NO_MAP),
+        ("global_average_pool", ["four"], {}, NO_MAP),
+        ("adaptive_average_pool", ["four"], {"size": [1, 1]}, NO_MAP),
+        # the rules of values
+        (
+            "max_pool",
+            ["volume"],
+            window(2) | {"stride": [32768, 1]},
+            "`stride` must be a list of 2 whole numbers from 1 on, got [32768, 1]",
+        ),
+        (
+            "zero_pad",
+            ["volume"],
+            {"padding": [0, 0, 0, -1]},
+            "`padding` must be a list of 4 whole numbers from 0 on, got [0, 0, 0, -1]",
+        ),
+        (
+            "bilinear_corners",
+            ["volume"],
+            {"block": 65},
+            "`block` must be a whole number from 1 to 64, got 65",
+        ),
+        (
+            "softshrink",
+            ["volume"],
+            {"lambd": -1e-9},
+            "`lambd` must be a finite number from 0 on, got -1e-09",
+        ),
+    ],
+)
+def test_what_does_not_fit_an_operation_is_refused(op, inputs, parameters, message):
+    layer = {"op": op, "name": "tested", "inputs": inputs, **parameters}
+    where = f"layer 'tested' ({op}): "
+    with pytest.raises(ValueError, match=f"^{re.escape(where + message)}"):
+        layer_shapes([*SOURCES, layer], (4, 6, 5), TENSORS)
+
+
 def test_limits_may_be_infinite():
     layers = chain(("clip", {"low": -np.inf, "high": np.inf}))
     assert layer_shapes(layers, (4, 6, 5), {})["clip 0"] == (4, 6, 5)

@@ -656,8 +656,10 @@ def test_by_share_the_cells_stay_and_count_means_over_pixels(counting, sensor):
     [((48, 24), (48, 24)), ((346, 260), (32, 24)), ((1280, 720), (40, 24)), ((9, 90), (24, 240))],
 )
 def test_by_share_the_grid_has_as_many_cells_along_the_shorter_side(counting, sensor, grid):
-    """Both sides are multiples of 8."""
-    assert counting.for_sensor(sensor).config.grid == grid
+    """Both sides are multiples of 8. For its own sensor it stays the model that it is."""
+    model = counting.for_sensor(sensor)
+    assert model.config.grid == grid
+    assert (model is counting) == (sensor == counting.config.sensor)
 
 
 def test_a_stream_through_a_model_by_share_has_the_bits_of_whole_maps(counting, tmp_path):
@@ -690,6 +692,15 @@ def test_only_a_model_of_objects_knows_them_by_share():
         replace(random_model(CONFIG), by_share=True)
     with pytest.raises(TypeError, match="`by_share` must be a bool, got 1"):
         replace(map_model(), by_share=1)
+    assert not replace(map_model(), by_share=True).features().by_share
+
+
+def test_a_sensor_has_two_sides():
+    for by_share in (False, True):
+        with pytest.raises(
+            ValueError, match=r"`sensor` must be \(width, height\), got \(70, 40, 2"
+        ):
+            replace(map_model(), by_share=by_share).for_sensor((70, 40, 2))
 
 
 def test_what_a_map_model_refuses():

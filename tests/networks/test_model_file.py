@@ -25,8 +25,9 @@ from networks.small import (
     write_file,
 )
 from safetensors import safe_open
+from torch import nn
 
-from async_tnt import CompiledClassifier, bundled_models, load_model
+from async_tnt import CompiledClassifier, Model, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 
 
@@ -85,6 +86,21 @@ def test_the_multiplications_of_a_classifier_by_hand():
     expected = 60 * 18 + 18 * 18 + 12 + 12
     assert small_model().multiplications == expected
     assert small_model(config=WITH_REGRESSOR).multiplications == expected
+
+
+def test_only_convolutions_and_dense_layers_have_multiplications_that_count():
+    """3 x 3 weights of one channel in each of two groups, at 2 x 4 x 3 places; 2 to 3 units."""
+    net = nn.Sequential(
+        nn.Conv2d(2, 2, 3, groups=2),
+        nn.BatchNorm2d(2),
+        nn.PReLU(2),
+        nn.GroupNorm(1, 2),
+        nn.AdaptiveAvgPool2d(1),
+        nn.Flatten(),
+        nn.Linear(2, 3),
+    )
+    model = Model.from_torch(net.eval(), SMALL, CLASSES)
+    assert model.multiplications == 24 * 9 + 6
 
 
 @pytest.mark.parametrize("dtype", ["f2", ">f4", "u1"])
@@ -215,6 +231,12 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
         ),
         ({"classes": "abc"}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),
         ({"record": None}, TypeError, "`record` must be a mapping, got None"),
+        ({"record": [("a", 1)]}, TypeError, "`record` must be a mapping, got [('a', 1)]"),
+        (
+            {"weights": changed(fc1__bias=np.zeros(4, bool))},
+            TypeError,
+            "`fc1.bias` must be an array of numbers, got bool",
+        ),
         (
             {"weights": changed(fc1__bias=np.zeros(4, complex))},
             TypeError,

@@ -1,6 +1,7 @@
 """Networks of raw outputs: their names from torch and ONNX, their files, what is refused."""
 
 from collections import OrderedDict
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -150,6 +151,29 @@ def test_outputs_for_another_sensor():
     assert large.output_shapes == {"flow": (2, 60, 50), "half": (3, 30, 25), "mean": (3,)}
 
 
+def test_a_model_says_which_outputs_it_has_in_one_line():
+    outputs = "flow 2x6x5, half 3x3x3, mean 3"
+    assert repr(raw_model(SMALL)) == f"Model({outputs}, 9x8 -> 2x6x5, 2 conv, 90 weights)"
+
+
+def test_a_model_keeps_its_outputs_whatever_becomes_of_the_mapping_it_was_made_of():
+    model = raw_model(SMALL)
+    given = dict(model.outputs)
+    again = replace(model, outputs=given)
+    given.clear()
+    assert again.outputs == model.outputs
+
+
+def test_outputs_that_were_answered_are_not_changed_by_the_next_call():
+    network = CompiledNetwork(raw_model(SMALL))
+    first = network(np.ones(SMALL.shape, np.float32))
+    kept = [array.copy() for array in first]
+    second = network(np.zeros(SMALL.shape, np.float32))
+    for array, before, after in zip(first, kept, second, strict=True):
+        np.testing.assert_array_equal(array, before)
+        assert not np.array_equal(array, after)
+
+
 def test_what_is_neither_or_both_is_refused():
     model = raw_model(SMALL)
     parts = {"network": model.network, "outputs": model.outputs}
@@ -159,6 +183,10 @@ def test_what_is_neither_or_both_is_refused():
         Model(SMALL, model.weights, network=model.network)
     with pytest.raises(TypeError, match="`outputs` must map names to names of layers"):
         Model(SMALL, model.weights, network=model.network, outputs=["flow"])
+    with pytest.raises(TypeError, match="`outputs` must map names to names of layers"):
+        Model(SMALL, model.weights, network=model.network, outputs={"flow": 3})
+    with pytest.raises(ValueError, match="`outputs` must have names that can be printed"):
+        Model(SMALL, model.weights, network=model.network, outputs={"": "flow"})
     with pytest.raises(ValueError, match="no layer is named 'flows', which is an output"):
         Model(SMALL, model.weights, network=model.network, outputs={"flow": "flows"})
     flat = nn.Sequential(nn.Conv2d(2, 3, 3), nn.Flatten())

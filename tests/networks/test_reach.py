@@ -36,6 +36,13 @@ def test_by_hand():
     assert work.whole == 15 * 21 * 4 * 18 + 14 * 20 * 6 * 18 + 7 * 10 * 6
 
 
+@pytest.mark.parametrize("changes", [{"grid": (13, 9)}, {"transform": "tnt"}])
+def test_an_event_between_pixels_changes_two_rows_and_two_columns(changes):
+    """They are seen by 4 x 4 places."""
+    model = Model.from_torch(nn.Conv2d(2, 4, 3, padding=1), ON_PIXELS.replace(**changes))
+    assert model.work_of_one_event.touched == 16 * 4 * 18
+
+
 def test_a_gate_of_all_places_makes_everything_new():
     class Gated(nn.Module):
         def __init__(self):

@@ -183,6 +183,7 @@ def test_a_trained_class_is_forgotten(model, taught):
     assert decision.label == "b"
     alone = model.without_class("a").without_class("b")
     assert alone.classes == ("c",)
+    assert alone.record["forgotten"] == ["a", "b"]
     with pytest.raises(ValueError, match="`name` must not be the model's only class, got 'c'"):
         alone.without_class("c")
 
