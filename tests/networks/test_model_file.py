@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
-from made import thesis_model
+from made import raw_model, thesis_model
 from networks.random_networks import random_models
+from networks.random_spiking import random_spiking_model
 from networks.small import (
     CLASSES,
     SMALL,
@@ -29,6 +30,7 @@ from torch import nn
 
 from async_tnt import CompiledClassifier, Model, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
+from async_tnt.networks.models.model_file import checksum
 
 
 @given(random_models())
@@ -113,6 +115,37 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
         assert values.flags.c_contiguous
         assert not np.may_share_memory(values, weights[name])
         np.testing.assert_array_equal(values, weights[name])
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (small_model(), "async_tnt 2"),
+        (raw_model(SMALL), "async_tnt 3"),
+        (random_spiking_model(0), "async_tnt 4"),
+        (random_spiking_model(0, raw=True), "async_tnt 4"),
+    ],
+)
+def test_the_format_of_a_file_is_one_that_older_releases_refuse(model, expected, tmp_path):
+    """Those that cannot run such a model; with statistics: see `teaching/test_taught_models.py`."""
+    with safe_open(model.save(tmp_path / "m"), "numpy") as file:
+        assert file.metadata()["format"] == expected
+
+
+def test_a_checksum_is_of_names_types_shapes_and_bytes():
+    """In any order, and however they lie in memory."""
+    zeros = np.zeros((2, 3), np.float32)
+    ones = np.ones((2, 2), np.float32)
+    expected = checksum({"a": zeros, "b": ones}, "text")
+    assert checksum({"b": np.asfortranarray(ones), "a": zeros[:, ::-1]}, "text") == expected
+    others = [
+        ({"a": zeros, "c": ones}, "text"),
+        ({"a": zeros.view(np.int32), "b": ones}, "text"),
+        ({"a": zeros.T, "b": ones}, "text"),
+        ({"a": zeros, "b": 2 * ones}, "text"),
+        ({"a": zeros, "b": ones}, "texts"),
+    ]
+    assert len({expected, *(checksum(*other) for other in others)}) == 6
 
 
 def test_what_cannot_be_saved_leaves_nothing(tmp_path):

@@ -1,5 +1,7 @@
 """Networks of ReLUs as spiking networks, whose spikes count what the ReLUs compute."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -218,6 +220,7 @@ def test_it_goes_out_as_a_nir_graph(made):
     assert spiking.record == {"a": 1} and spiking.config == CONFIG
     for order in ("off_first", "on_first"):
         graph = to_nir(spiking, polarity=order)
+        assert json.loads(graph.metadata["classes"]) == list(CLASSES)
         again = Model.from_nir(graph, reset="subtract", classes=CLASSES, polarity=order)
         for one in events[:5]:
             np.testing.assert_array_equal(
@@ -268,6 +271,17 @@ def test_of_a_large_layer_evenly_spread_activations_are_read(monkeypatch):
     assert last_threshold(window, percentile=100) == 61.0
     monkeypatch.setattr(rate_conversion, "MOST_OF_A_WINDOW", 32)
     assert last_threshold(window, percentile=100) == 63.0
+
+
+@pytest.mark.parametrize(
+    "layers", [[nn.ReLU(), conv(2, 3)], [nn.Flatten(), nn.ReLU(), dense(128, 3)]]
+)
+def test_a_relu_may_read_the_volume_itself(layers):
+    """Of a count of 1 there are 4 spikes, by a threshold of 1/4."""
+    model = positive_model(nn.Sequential(*layers))
+    spiking = spiking_from_rates(model, ONE_WINDOW, spikes=4, percentile=100)
+    first = next(layer for layer in spiking.layers if layer["op"] == "if")
+    assert (spiking.weights[first["weights"]["v_threshold"]] == 0.25).all()
 
 
 def test_names_that_a_network_has_already_are_no_obstacle():
@@ -367,6 +381,23 @@ def test_a_network_of_something_else_than_counts_at_pixels(settings):
     config = CONFIG.replace(**settings)
     module = nn.Sequential(conv(config.shape[0], 3), nn.ReLU())
     refused(module, "`model` must read counts of events", ValueError, config=config)
+
+
+class Sum(nn.Module):
+    """The sum of two convolutions of the volume."""
+
+    def __init__(self):
+        super().__init__()
+        self.first = conv(2, 3)
+        self.second = conv(2, 3)
+
+    def forward(self, x):
+        return self.first(x) + self.second(x)
+
+
+def test_a_sum_of_equal_scales_needs_no_scaling():
+    spiking = spiking_from_rates(positive_model(Sum()), ONE_WINDOW)
+    assert [layer["op"] for layer in spiking.layers] == ["conv", "conv", "add", "if"]
 
 
 class OfTwo(nn.Module):

@@ -24,6 +24,7 @@ from async_tnt.networks.teaching.statistics import (
     principal_components,
     tensors_of_statistics,
 )
+from async_tnt.networks.teaching.taught_network import features_layer
 from async_tnt.networks.teaching.teach import spread_order
 from async_tnt.networks.teaching.window_readings import edges
 
@@ -216,6 +217,8 @@ def test_where_windows_are_read():
     assert list(edges(np.array([40, 90]), config, start_us=0)) == [(1, False), (2, True)]
     # 24 us are in the first quarter, 25 us in the second
     assert list(edges(np.array([0, 24, 25]), config)) == [(2, False), (3, True)]
+    # a quarter of 10 us ends at 2.5 us, so 2 us are in it
+    assert list(edges(np.array([0, 2, 3]), TNTConfig(window_us=10))) == [(2, False), (3, True)]
 
 
 @pytest.mark.parametrize(
@@ -229,3 +232,33 @@ def test_where_windows_of_a_number_of_events_are_read(settings):
     config = TNTConfig(**settings)
     expected = [(2, False), (4, False), (8, True), (10, False), (11, True)]
     assert list(edges(np.arange(11), config)) == expected
+
+
+def test_a_part_of_a_window_of_a_number_of_events_is_rounded_up():
+    """A quarter of 10 events are 3."""
+    config = TNTConfig(window_events=10, window_us=None)
+    assert list(edges(np.arange(10), config)) == [(3, False), (5, False), (10, True)]
+
+
+def features_of(*layers):
+    """The layer of the features. A layer is its name, operation, input and output's shape."""
+    network = [{"op": op, "name": name, "inputs": [source]} for name, op, source, _ in layers]
+    shapes = {name: shape for name, _, _, shape in layers}
+    return features_layer(network, {"volume": (2, 64, 64), **shapes})
+
+
+def test_features_are_of_the_last_map_of_16_places_and_at_most_4096_numbers():
+    logits = ("z", "dense", "h", (3,))
+    flat = [("f", "flatten", "b", (120,)), ("h", "dense", "f", (9,)), logits]
+    large = ("a", "conv", "volume", (4, 32, 32))
+    assert features_of(large, ("b", "conv", "a", (8, 4, 4)), *flat) == "b"
+    assert features_of(large, ("b", "conv", "a", (8, 3, 5)), *flat) == "a"
+    # without such a map, of the last layer before the logits of as few numbers
+    larger = ("a", "conv", "volume", (4, 32, 33))
+    assert features_of(larger, ("b", "conv", "a", (8, 3, 5)), *flat) == "h"
+    # a flattened map is none, and what keeps its order, but a flattened place is one
+    kept = [("f", "flatten", "b", (120,)), ("r", "relu", "f", (120,)), ("z", "dense", "r", (3,))]
+    assert features_of(larger, ("b", "conv", "a", (8, 3, 5)), *kept) == "b"
+    place = [("m", "global_average_pool", "a", (4, 1, 1)), ("f", "flatten", "m", (4,))]
+    assert features_of(larger, *place, ("z", "dense", "f", (3,))) == "f"
+    assert features_of(larger, ("z", "flatten", "a", (4224,))) is None
