@@ -19,6 +19,7 @@ from async_tnt import CompiledClassifier, Model, Processor, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.models.torch_modules import exact_outputs, torch_classifier
 from async_tnt.networks.teaching import teach
+from async_tnt.networks.teaching.closed_form import MARGIN, others_of, row_of, taken
 from async_tnt.networks.teaching.statistics import log_sum_exp
 from async_tnt.networks.teaching.teach import spread_order
 from async_tnt.networks.teaching.window_readings import edges
@@ -202,6 +203,13 @@ def test_the_record_says_what_was_taught(taught):
     assert entry["margin"] == pytest.approx(taught.statistics.margins["d"], abs=1e-3)
     assert set(entry["taken"]) == set(CLASSES)
     assert all(0 <= share < 0.2 for share in entry["taken"].values())
+    # by the margin that was chosen
+    others = others_of(taught.statistics, "d")
+    row = row_of(taught.statistics.moments["d"], list(others.values()))
+    margin = taught.statistics.margins["d"]
+    assert margin != MARGIN
+    for name, share in entry["taken"].items():
+        assert share == pytest.approx(taken(row, margin, others[name]), abs=1e-5)
     assert entry["left_out_right"] > 0.7
     assert 0 <= entry["taken_of_nothing"] <= 1
 
