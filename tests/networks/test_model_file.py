@@ -30,7 +30,7 @@ from torch import nn
 
 from async_tnt import CompiledClassifier, Model, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
-from async_tnt.networks.models.model_file import checksum
+from async_tnt.networks.models.model_file import checksum, checksum_of
 
 
 @given(random_models())
@@ -146,6 +146,14 @@ def test_a_checksum_is_of_names_types_shapes_and_bytes():
         ({"a": zeros, "b": ones}, "texts"),
     ]
     assert len({expected, *(checksum(*other) for other in others)}) == 6
+
+
+def test_the_checksum_of_a_file_is_of_all_metadata_but_itself():
+    metadata = small_model().description() | {"network": "[]", "statistics": "{}"}
+    expected = checksum_of({}, metadata)
+    assert checksum_of({}, metadata | {"sha256": "0"}) == expected
+    for name in metadata:
+        assert checksum_of({}, metadata | {name: "0"}) != expected
 
 
 def test_what_cannot_be_saved_leaves_nothing(tmp_path):

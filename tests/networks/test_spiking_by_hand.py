@@ -61,6 +61,18 @@ def test_a_neuron_fires_above_its_threshold_not_at_it():
     assert (volume.spikes(), volume.additions()) == (2, 8)
 
 
+def test_what_neurons_did_is_told_by_copies():
+    volume = volume_of(dense_model(integrate("subtract")))
+    push(volume, (10, 1), (20, 1))
+    told = [volume.spike_counts(), volume.first_spikes_us(), volume.membranes()]
+    before = [array.copy() for array in told]
+    push(volume, (30, 0), (40, 0), (50, 0))
+    for array, expected in zip(told, before, strict=True):
+        np.testing.assert_array_equal(array, expected)
+        array[:] = 7.0
+    assert volume.spike_counts().tolist() == [1, 1] and volume.membranes().tolist() == [-0.5, 1.0]
+
+
 def test_a_neuron_has_as_many_spikes_at_once_as_its_threshold_fits():
     """3.5 is 3 times 1 and .5; 3 is 2 times 1 and 1, which is not above the threshold."""
     volume = volume_of(dense_model(integrate("subtract"), on=(3.5, 3.0)))
@@ -186,6 +198,21 @@ def test_a_late_event_acts_at_the_time_of_the_newest():
     push(volume, (500, 1))
     assert push(volume, (400, 1))[1] == pytest.approx([2.0, 0.5])
     assert volume.counts.dropped_late == 0
+
+
+def test_a_late_event_is_dropped_or_refused_where_a_stream_says_so():
+    """One event at a time."""
+    model = dense_model(integrate("subtract", [9.0, 9.0]))
+    for late, expected in (("accept", [2.0, 0.5]), ("drop", [1.0, 0.25])):
+        processor = Processor(model, late=late, start_us=0)
+        processor.push((500, 1, 2, 1))
+        processor.push((400, 1, 2, 1))
+        assert processor._windows.oldest.membranes().tolist() == expected
+        assert processor.counts.dropped_late == (late == "drop")
+    processor = Processor(model, late="raise", start_us=0)
+    processor.push((500, 1, 2, 1))
+    with pytest.raises(ValueError, match=r"`t` must .*, got 400"):
+        processor.push((400, 1, 2, 1))
 
 
 def test_events_before_the_window_have_no_effect():
