@@ -16,6 +16,8 @@ from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
 from async_tnt import CompiledClassifier, Model, load_model
 from async_tnt.networks.layers import graph
 from async_tnt.networks.layers.graph import layer_shapes
+from async_tnt.networks.layers.lowering import steps_of
+from async_tnt.networks.layers.steps import Map
 
 
 def test_the_thesis_layers_are_those_of_the_references_modules():
@@ -524,6 +526,14 @@ def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(
         ([conv(padding=1)], 3 * 8 * 7 + 6 + 100 + 52, 3 * 8 * 7 * 2),
         # an addition of a pooling takes as long as 16 multiplications
         ([("average_pool", window(2, 0, 2))], 2 * 3 * 2 + 400, 2 * 3 * 2 * 4 * 16),
+        # four taps at each of 3 x 2 places have weights of their own: one a channel, and 16 beside
+        (
+            [("inside_average_pool", window(2, 0, 2))],
+            2 * 3 * 2 + 400 + 4 * 3 * 2 * (2 + 16),
+            2 * 3 * 2 * 4 * 16,
+        ),
+        # two inputs
+        ([("add", {"inputs": ["volume", "volume"]})], 60, 2 * 60),
         # the sum of the layers
         ([("relu", {}), ("relu", {}), ("global_average_pool", {})], 60 + 60 + 2, 60 + 60 + 60),
     ],
@@ -545,7 +555,8 @@ def test_the_cost_of_a_network_by_hand(layers, n_numbers, n_products, monkeypatc
 
 
 def test_small_networks_by_hand():
-    """An activation that nothing reads; a pooling of the size of its map, with padding."""
+    """An activation that nothing reads; a pooling of the size of its map, with padding; the sum of
+    a number and its activation, both read through a flatten."""
     mean = ("global_average_pool", {})
     whole = {"kernel": [6, 5], "padding": [1, 0, 1, 0], "stride": [2, 1]}
     unread = [
@@ -553,7 +564,13 @@ def test_small_networks_by_hand():
         {"op": "flatten", "name": "output", "inputs": ["conv 1"]},
     ]
     pooled = chain(("average_pool", whole), mean, conv())
-    for layers, logit in ((unread, -1.0), (pooled, -5 / 6)):
+    both = [
+        *chain(mean, conv(), ("relu", {})),
+        {"op": "flatten", "name": "number", "inputs": ["conv 1"]},
+        {"op": "flatten", "name": "positive", "inputs": ["relu 2"]},
+        {"op": "add", "name": "sum", "inputs": ["number", "positive"]},
+    ]
+    for layers, logit in ((unread, -1.0), (pooled, -5 / 6), (both, -1.0)):
         model = Model(
             SMALL.replace(bins=1),
             {"w": -np.ones((1, 1, 1, 1))},
@@ -561,6 +578,16 @@ def test_small_networks_by_hand():
             network={"classifier": layers},
         )
         assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
+
+
+def test_an_activation_behind_a_flatten_needs_no_step():
+    """It becomes part of the step before the flatten, as without one."""
+    mean = ("global_average_pool", {})
+    n_steps = [
+        len(steps_of(chain(mean, *between, ("relu", {})), Map(2, 6, 5), {})[0])
+        for between in ([], [("flatten", {})])
+    ]
+    assert n_steps == [2, 2]
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -72,7 +72,8 @@ def test_a_module_may_return_tensors_in_any_order_and_nesting(kind, tmp_path):
     model = Model.from_torch(module, SMALL)
     if names is None:
         names = ["output.0.x", "output.0.scales.0", "output.1"]
-    assert list(model.outputs) == names and model.classes == () and model.places is None
+    assert list(model.outputs) == names and model.classes == ()
+    assert model.places is None and not model.has_sizes
     volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
     expected = [array[0] for array in numbers_of(module(torch.tensor(volume)[None]))]
     assert list(model.output_shapes.values()) == [array.shape for array in expected]

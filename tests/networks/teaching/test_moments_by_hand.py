@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from async_tnt import TNTConfig
+from async_tnt.networks.teaching import closed_form
 from async_tnt.networks.teaching.closed_form import (
     LEAST_RECORDINGS,
     MARGIN,
+    MARGINS,
     RIDGE,
     TAUGHT_SHARE,
     Row,
@@ -136,6 +138,72 @@ def test_a_class_that_is_not_told_apart_gets_a_smaller_margin():
     assert margin(1.0) < margin(3.0) < margin(6.0)
 
 
+def losses_of(recordings, others):
+    """For each M of `MARGINS` the loss of "is it this class", and the share that is right.
+
+    Each recording is left out. A class of the others is taken as normally distributed.
+    """
+    rest = [Moments.of(one) for one in others]
+    whole = row_of(Moments.of(np.concatenate(recordings)), rest)
+    z = np.linspace(-9.0, 9.0, 4001)
+    density = np.exp(-(z**2) / 2)
+    losses = []
+    shares = []
+    for margin in MARGINS:
+        own = []
+        for k, left_out in enumerate(recordings):
+            kept = np.concatenate([*recordings[:k], *recordings[k + 1 :]])
+            own.append(logit_above_s(row_of(Moments.of(kept), rest), margin, left_out))
+        own = np.concatenate(own)
+        shares.append((own > 0).mean())
+        of_classes = [np.logaddexp(0, -own).mean()]
+        for one in others:
+            theirs = logit_above_s(whole, margin, one)
+            at = np.logaddexp(0, theirs.mean() + theirs.std() * z)
+            of_classes.append((at * density).sum() / density.sum())
+        losses.append(np.mean(of_classes))
+    return losses, shares
+
+
+def logit_above_s(row, margin, u):
+    """z - s for vectors u = (x, s)."""
+    return u[:, :-1] @ row.at(margin)[:-1] + row.at(margin)[-1] - u[:, -1]
+
+
+@pytest.mark.parametrize("seed", [1, 3, 6])
+def test_the_margin_is_that_of_the_smallest_loss(seed):
+    rng = np.random.default_rng(seed)
+
+    def readings(n, distance):
+        x = rng.normal(distance, 1.0, (n, 3)) + rng.normal(size=3)
+        return np.hstack([x, rng.normal(4.0, 1.5, (n, 1))])
+
+    distance = 0.4 * seed
+    recordings = [readings(3, distance) for _ in range(5 + seed)]
+    others = [readings(40, 0.0), readings(7, -1.0)]
+    losses, shares = losses_of(recordings, others)
+    choice = choose_margin(recordings, dict(enumerate(map(Moments.of, others))))
+    best = int(np.argmin(losses))
+    assert choice.margin == MARGINS[best]
+    assert choice.held_out == pytest.approx(shares[best])
+
+
+def test_many_recordings_are_left_out_in_at_most_twenty_parts(monkeypatch):
+    """For each part a row is made of the others, and one row of all."""
+    made = []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return row_of(*arguments)
+
+    monkeypatch.setattr(closed_form, "row_of", counted)
+    others = {"a": one_class(-1.0, 1.0)}
+    for n, n_rows in ((5, 6), (20, 21), (47, 21)):
+        made.clear()
+        choose_margin([np.array([[3.0 + k % 2, 1.0]]) for k in range(n)], others)
+        assert len(made) == n_rows
+
+
 def test_log_sum_exp_of_large_logits():
     assert log_sum_exp(np.array([[1000.0, 1000.0], [0.0, -1000.0]])).tolist() == pytest.approx(
         [1000 + np.log(2), 0.0]
@@ -169,11 +237,12 @@ def test_principal_components_of_few_readings_are_those_of_the_whole_covariance(
     assert (projection[np.abs(projection).argmax(0), np.arange(10)] > 0).all()
 
 
-@pytest.mark.parametrize("n_features", [5, 64, 96, 768, 2048, 4096])
-@pytest.mark.parametrize("n_classes", [2, 10, 101])
+@pytest.mark.parametrize("n_features", [5, 64, 250, 768, 2048, 4096])
+@pytest.mark.parametrize("n_classes", [2, 22, 101])
 def test_statistics_have_as_many_components_as_fit(n_features, n_classes):
     n = n_components_for(n_features, n_classes, 30_000)
     assert n <= min(n_features, MOST_COMPONENTS)
+    assert n == n_features or n % 16 == 0
 
     def n_bytes(n):
         moments = Moments(1, np.zeros(n + 1), np.zeros(triangle_size(n + 1), np.float32))
