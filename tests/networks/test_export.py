@@ -90,6 +90,8 @@ def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large,
         ((1e-3, 1e-3), 5e-7, True),
         ((1e-3, 1e-3), 5e-6, False),
         ((np.nan, np.nan), 0, True),
+        ((np.inf, -np.inf), 0, True),
+        ((1.0, -np.inf), np.inf, False),  # no number
     ],
 )
 def test_numbers_that_make_no_difference_to_a_softmax_may_differ_more(numbers, difference, is_same):
@@ -126,6 +128,16 @@ def test_a_difference_that_one_kind_of_volume_shows_is_found(shows):
 
     with pytest.raises(ValueError, match="its layers compute other numbers"):
         compare(network, other, (2, 6, 5))
+
+
+def test_numbers_without_an_axis_of_the_batch_stay_as_they_are():
+    for numbers, expected in (
+        (np.ones((1, 3)), (3,)),
+        (np.ones((2, 3)), (2, 3)),
+        (np.ones(()), ()),
+    ):
+        assert conversion_check.without_batch(numbers).shape == expected
+    assert conversion_check.without_batch(np.ones((2, 3)), 2).shape == (3,)
 
 
 @pytest.mark.parametrize(("long_s", "n_compared"), [(-1.0, 3), (1e9, 8)])

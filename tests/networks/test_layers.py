@@ -655,5 +655,12 @@ def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
     monkeypatch.setattr(graph, "MAX_NUMBERS", 1 << 16)
     with pytest.raises(
         ValueError, match=r"^the network's maps need [\d_]+ numbers, more than 2 \* 65_536"
-    ):
+    ) as refused:
+        CompiledClassifier(model)
+    n_numbers = int(re.search(r"[\d_]+", str(refused.value))[0])
+    assert n_numbers % 2 == 0
+    monkeypatch.setattr(graph, "MAX_NUMBERS", n_numbers // 2)
+    CompiledClassifier(model)
+    monkeypatch.setattr(graph, "MAX_NUMBERS", n_numbers // 2 - 1)
+    with pytest.raises(ValueError, match=f"maps need {n_numbers:_} numbers"):
         CompiledClassifier(model)

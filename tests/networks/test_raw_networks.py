@@ -1,7 +1,9 @@
 """Networks of raw outputs: their names from torch and ONNX, their files, what is refused."""
 
 from collections import OrderedDict
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -297,6 +299,20 @@ def test_a_small_channel_beside_a_large_one_is_compared_by_itself():
     compare(beside_large(1, 1.0), beside_large(1, 1 + 1e-5), SMALL.shape, is_raw=True)
     with pytest.raises(ValueError, match="its layers compute other numbers"):
         compare(beside_large(1, 1.0), beside_large(1, 1.1), SMALL.shape, is_raw=True)
+
+
+@pytest.mark.parametrize(("rest", "is_same"), [(0.5e-6, True), (2e-6, False)])
+def test_what_is_left_where_numbers_cancel_may_be_a_billionth_of_the_largest(rest, is_same):
+    """In a channel of zeros, beside one of 1000."""
+
+    def network(volume, rest=0.0):
+        return [np.stack([np.full((3, 3), 1e3), np.full((3, 3), rest)])]
+
+    expected = nullcontext()
+    if not is_same:
+        expected = pytest.raises(ValueError, match="its layers compute other numbers")
+    with expected:
+        compare(network, partial(network, rest=rest), SMALL.shape, is_raw=True)
 
 
 def test_raw_outputs_must_have_the_shape_of_their_layers():

@@ -20,7 +20,7 @@ from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.models.torch_modules import exact_outputs, torch_classifier
 from async_tnt.networks.teaching import teach
 from async_tnt.networks.teaching.closed_form import MARGIN, others_of, row_of, taken
-from async_tnt.networks.teaching.statistics import log_sum_exp
+from async_tnt.networks.teaching.statistics import log_sum_exp, n_components_for
 from async_tnt.networks.teaching.teach import spread_order
 from async_tnt.networks.teaching.window_readings import edges
 
@@ -197,7 +197,7 @@ def test_a_trained_class_is_forgotten(model, taught):
         alone.without_class("c")
 
 
-def test_the_record_says_what_was_taught(taught):
+def test_the_record_says_what_was_taught(model, taught):
     entry = taught.record["taught"]["d"]
     assert (entry["recordings"], entry["windows"]) == (6, 18)
     assert entry["margin"] == pytest.approx(taught.statistics.margins["d"], abs=1e-3)
@@ -211,6 +211,11 @@ def test_the_record_says_what_was_taught(taught):
     for name, share in entry["taken"].items():
         assert share == pytest.approx(taken(row, margin, others[name]), abs=1e-5)
     assert entry["left_out_right"] > 0.7
+    # of a class that is hard to tell apart: so many of the nine readings of seven recordings
+    hard = model.with_class("like a", [recording(0, i) for i in range(20, 27)])
+    share = hard.record["taught"]["like a"]["left_out_right"]
+    assert share == pytest.approx(round(63 * share) / 63, abs=1e-5)
+    assert 0 < share < 1
     assert 0 <= entry["taken_of_nothing"] <= 1
 
 
@@ -404,6 +409,7 @@ def test_the_readings_of_all_classes_fit_into_a_number_of_bytes(model, monkeypat
         monkeypatch.setattr(teach, "MOST_BYTES", n_bytes)
         again = replace(model, statistics=None).with_statistics(of_classes(n=1)).statistics
         assert {moments.count for moments in again.moments.values()} == {most}
+        assert again.n_components == n_components_for(n_features, 3, 3 * most)
 
 
 @pytest.mark.parametrize("start_us", [None, 0])
