@@ -235,6 +235,17 @@ def test_a_copy_of_a_network_answers_with_its_own_numbers(kind, duplicate):
     assert numbers(network.refresh(first)) == expected
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_array_is_read_whatever_its_type_and_its_memory(kind):
+    network = network_of(kind)
+    array = np.random.default_rng(0).integers(-9, 9, PLAIN.shape).astype(np.float32)
+    expected = numbers(network(array))
+    for other in (np.asfortranarray(array), np.repeat(array, 2, 2)[:, :, ::2], array.astype("f8")):
+        other.flags.writeable = False
+        assert numbers(network(other)) == expected
+        assert numbers(network(np.zeros(PLAIN.shape, np.float32))) != expected
+
+
 # -- the log, a ring of the newest events' places --------------------------------------------------
 
 
