@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from async_tnt import Model, Processor, SpikingVolume, TNTConfig
+from async_tnt.kernels.volume.absorb import ABSORBED, REFUSED
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 
 CONFIG = TNTConfig(sensor=(4, 3), grid=(4, 3), representation="count", window_us=1_000_000)
 
@@ -124,6 +126,8 @@ def test_a_leaky_integrator_decides_by_its_membrane():
     np.testing.assert_allclose(first.logits, [1.0, 0.25], rtol=1e-6)
     np.testing.assert_allclose(second.logits, [0.0, 0.625], atol=1e-6)
     assert (first.label, second.label) == ("a", "b")
+    assert not SpikingNetwork(model).fires
+    assert SpikingNetwork(dense_model(integrate("subtract"))).fires
 
 
 def cuba(tau_syn, tau_mem, threshold, op="cuba_lif", **fields):
@@ -213,6 +217,16 @@ def test_a_late_event_is_dropped_or_refused_where_a_stream_says_so():
     processor.push((500, 1, 2, 1))
     with pytest.raises(ValueError, match=r"`t` must .*, got 400"):
         processor.push((400, 1, 2, 1))
+
+
+def test_a_volume_that_does_not_accept_late_events_looks_at_each():
+    """Its decoder does, which the compiled call of one event passes by."""
+    model = dense_model(integrate("subtract", [9.0, 9.0]))
+    for late, answer in (("accept", ABSORBED), ("drop", REFUSED), ("raise", REFUSED)):
+        volume = SpikingVolume(model, late=late)
+        volume.open(0)
+        assert volume.absorb_one(500, 1, 2, 1) == answer
+        assert volume.n_events == (late == "accept")
 
 
 def test_events_before_the_window_have_no_effect():
