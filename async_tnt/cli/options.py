@@ -128,7 +128,7 @@ def model_of(name: str) -> Model:
 
     Raises
     ------
-    ValueError : it is an .onnx file, or a .nir graph that says not all.
+    ValueError : it is an .onnx file, or a .nir graph, which leaves open how neurons are reset.
     """
     refuse_graph(name)
     if Path(name).suffix.lower() == ".onnx":
