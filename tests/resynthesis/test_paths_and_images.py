@@ -191,6 +191,21 @@ def test_a_step_of_the_search_is_at_most_one_cell(monkeypatch):
     assert np.abs(path - first).max() == pytest.approx(1)
 
 
+def test_each_step_of_the_search_gains_evidence_beyond_what_the_prior_subtracts(monkeypatch):
+    """From paths far from the likeliest one. The evidence is returned without the prior."""
+    for seed in range(6):
+        model, finder, band = made_band(1, seed)
+        rng = np.random.default_rng(seed)
+        first = finder.dictionary[rng.integers(len(finder.dictionary))] + rng.normal(size=(1, 2))
+        reached = [model.evidence(band, first)[0] - finder._bending(first)]
+        for n_steps in range(1, 7):
+            monkeypatch.setattr(paths_module, "MOST_STEPS", n_steps)
+            path, evidence = finder.refine(band, first)
+            assert evidence == pytest.approx(model.evidence(band, path)[0])
+            reached.append(evidence - finder._bending(path))
+        assert (np.diff(reached) > -1e-9).all() and reached[-1] > reached[0]
+
+
 def test_the_explained_share_is_what_the_likeliest_image_leaves_less():
     """Over all frequencies of the band, positive and negative ones."""
     model, _, band = made_band(1)

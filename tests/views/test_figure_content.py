@@ -98,19 +98,19 @@ def test_a_path_that_stays_where_it_is_has_no_arrow():
 
 def shape_of(axes):
     """Height of axes by their width, on the page."""
-    width, height = axes.get_position().size * axes.figure.get_size_inches()
+    width, height = axes.get_position(original=True).size * axes.figure.get_size_inches()
     return height / width
 
 
 def test_pictures_are_shown_as_they_look_beside_their_recordings():
     """Light as the eye sees it, about its root; then ON minus OFF of each recording."""
-    light = np.array([[0.0, 0.25, 1.0], [0.81, 0.04, 0.49]])
+    light = np.array([[0.01, 0.25, 0.64], [0.81, 0.04, 0.49]])
     events = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
     figure = figure_resynthesis.draw_recorded_pictures(
         [("cup", light, [events, events[:1]])], (5, 3)
     )
     shown, first, second = pictures(figure.axes)
-    np.testing.assert_allclose(shown, [[0, 0.5, 1], [0.9, 0.2, 0.7]])
+    np.testing.assert_allclose(shown, [[0.1, 0.5, 0.8], [0.9, 0.2, 0.7]])
     assert (first[2, 1], first[0, 4], np.abs(first).sum()) == (2, -1, 3)
     assert (second[2, 1], np.abs(second).sum()) == (1, 1)
     # the picture keeps its shape, within the place of a recording
