@@ -19,8 +19,8 @@ box of its class lies in the ellipse that touches the sides of its box.
 
 The first command trains, and scores scenes of the tuning seed: at some epochs for the learning
 curve, and at the end. The second one scores the final set once. What is finished is kept in
-FOLDER; give the same command again to resume. `--network map` trains a network of one level, in
-another FOLDER.
+FOLDER; give the same command again to resume. `--network map` trains a network that says no middles
+of boxes, in another FOLDER.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ def _add_network(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--network",
         metavar="NAME",
-        help="residual (default), wide, conv4, separable, thesis, map or pyramid (--everywhere), "
+        help="residual (default), wide, conv4, separable, thesis, map or boxes (--everywhere), "
         "or FILE.py:FUNCTION, of channels, (width, height) and n_classes",
     )
     group.add_argument(

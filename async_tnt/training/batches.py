@@ -43,8 +43,8 @@ class BatchVolumes:
                 f"windows of a duration can be trained on, but not of {config.window_events} events"
             )
         self.config = config
-        # Of a window that slides, all events are given at once, so it is any other window. Slices
-        # are windows of counts.
+        # All events of a window that slides are given at once, so it is like any other window.
+        # Slices are windows of counts.
         self._of_windows = with_an_end(config)
         if config.slice_us is not None:
             self._of_windows = config.replace(

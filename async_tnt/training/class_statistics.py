@@ -27,7 +27,7 @@ N_OF_NOTHING = 500
 
 
 def can_have_statistics(model: Model, windows: Windows) -> bool:
-    """Whether a classifier's layers are small enough, and there are windows of each class."""
+    """Whether a layer of a classifier is small enough, and each class has windows."""
     trained = TrainedNetwork(model.config, model.network, model.weights)
     has_all = len(np.unique(windows.labels)) == len(model.classes)
     return has_all and features_layer(model.layers, trained.shapes) is not None
@@ -38,8 +38,9 @@ def with_class_statistics(
 ) -> Model:
     """The model with statistics, so that classes can be taught to it.
 
-    The statistics are of the windows as they were recorded, and of such windows that show nothing
-    instead, see `augment`. Of many windows of a class, some that are spread over all are read.
+    The statistics are of the windows as they were recorded, and of windows that show nothing
+    instead, see `augment`. If a class has many windows, only some of them are read. They are spread
+    over all.
 
     Parameters
     ----------

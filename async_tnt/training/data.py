@@ -41,7 +41,7 @@ from async_tnt.training.work import Work
 from async_tnt.volume.config import TNTConfig
 
 MOMENTS = 4
-"""How many held-out windows that slide end in the length of a window."""
+"""How many held-out windows that slide end within the length of one window."""
 
 
 def dataset_data(
@@ -58,7 +58,7 @@ def dataset_data(
     """Read a data set into windows to train, validate and test on.
 
     It is a folder of class folders, or of recordings whose tables say what stands where, for a map
-    model. Of the latter see `table_data`; what follows is about class folders.
+    model. For the latter see `table_data`; what follows is about class folders.
 
     Whole groups of recordings are held out for validation. The first window of a recording starts
     at the recording's first event. Class folders may hold pictures, too. Pictures are split like
@@ -67,8 +67,8 @@ def dataset_data(
     Parameters
     ----------
     folder : the data set; it has a folder for each class, or recordings with tables of boxes.
-    volume : how events become volumes. The data set replaces only the sensor of a `TNTConfig`. Of a
-        `VolumeChoice`, it also decides the fields that the choice leaves open.
+    volume : how events become volumes. The data set replaces only the sensor of a `TNTConfig`. If
+        `volume` is a `VolumeChoice`, it also decides the fields that the choice leaves open.
     pixels : selects the events to learn from by their pixels; by default all.
     reading : facts about files that do not state them.
     split : what is held out, and whether the part `Test` is read.

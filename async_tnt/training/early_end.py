@@ -62,7 +62,9 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
         n_perfect = n_perfect + 1 if is_perfect else 0
         has_gained = False
         for name in LOSSES:
-            if name in row and row[name] <= (1 - GAIN) * lowest[name]:
+            # a loss of 0, or just below 0 by rounding, gains no more unless it falls
+            falls = name in row and row[name] < lowest[name]
+            if falls and row[name] <= (1 - GAIN) * lowest[name]:
                 lowest[name] = row[name]
                 has_gained = True
         n_without_gain = 0 if has_gained else n_without_gain + 1

@@ -117,10 +117,12 @@ def _check(
     if len(data.training) == 0:
         raise ParameterValueError("training", "must hold at least one window", "none")
     for windows in (data.training, data.validation):
-        if len(windows) and not 0 <= windows.labels.min() <= windows.labels.max() < len(classes):
+        labels = windows.labels
+        is_wrong = (labels < 0) | (labels >= len(classes))
+        if is_wrong.any():
             raise ValueError(
                 f"labels must be in [0, {len(classes)}), one for each class, got "
-                f"{windows.labels.max()}"
+                f"{labels[is_wrong][0]}"
             )
     if start is not None and (start.config, start.classes) != (config, classes):
         raise ParameterValueError(

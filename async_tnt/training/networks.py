@@ -1,9 +1,9 @@
 """Networks to train: a few that suit small sensors and small machines, or the user's own.
 
-Each network is a torch module from volumes (N, C, H, W) to logits (N, n_classes). The networks
-`map` and `pyramid` compute maps instead: logits of classes and of nothing, and sizes of objects,
-(N, n_classes + 3, R, C), or also their middles, (N, n_classes + 5, R, C). All layers have a
-compiled form.
+Each network is a torch module from volumes (N, C, H, W) to logits (N, n_classes). Two compute maps
+instead: logits of classes and of nothing, and boxes of objects. `map` says their sizes,
+(N, n_classes + 3, R, C), and `boxes` their middles, too, (N, n_classes + 5, R, C). All layers have
+a compiled form.
 """
 
 from __future__ import annotations
@@ -108,11 +108,15 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
     )
 
 
-def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network that computes a map: a channel for each class, one for nothing, and two for sizes.
+def object_map(
+    channels: int, grid: tuple[int, int], n_classes: int, n_of_boxes: int = 2
+) -> nn.Module:
+    """A network that computes a map: a channel for each class, one for nothing, and some for boxes.
 
     The map has a place for every 4x4 cells of the grid. A place sees about 40x40 cells. The first
     layers have the most channels, because there an event changes few places.
+
+    n_of_boxes : 2, for sizes, or 4, for sizes and middles.
     """
     return nn.Sequential(
         *_conv(channels, 32, 5, stride=2),
@@ -121,49 +125,8 @@ def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Modul
         *_conv(64, 64),
         *_conv(64, 48),
         *_conv(48, 32),
-        nn.Conv2d(32, n_classes + 3, 1),
+        nn.Conv2d(32, n_classes + 1 + n_of_boxes, 1),
     )
-
-
-class Pyramid(nn.Module):
-    """A network that computes a map of objects of many sizes, with their boxes.
-
-    The map has a place for every 4x4 cells of the grid. It is computed from maps of two sizes, as
-    in a feature pyramid (Lin et al. 2017, arXiv:1612.03144): that with a place for every 8x8 cells
-    is spread to the places of the other one, and added to it. A place sees about 83x83 cells.
-
-    channels : number of channels of a volume.
-    grid : (width, height) of its grid; both must be multiples of 8.
-    n_classes : number of classes.
-    """
-
-    def __init__(self, channels: int, grid: tuple[int, int], n_classes: int) -> None:
-        super().__init__()
-        if grid[0] % 8 or grid[1] % 8:
-            raise ValueError(f"a grid's sides must be multiples of 8, got {grid}")
-        self.fine = nn.Sequential(
-            *_conv(channels, 24, 5, stride=2),
-            nn.MaxPool2d(2),
-            *_conv(24, 48),
-            *_conv(48, 48),
-        )
-        self.coarse = nn.Sequential(
-            nn.MaxPool2d(2),
-            *_conv(48, 96),
-            *_conv(96, 96),
-            *_conv(96, 96),
-            nn.Conv2d(96, 4 * 48, 1),
-            nn.PixelShuffle(2),
-        )
-        self.head = nn.Sequential(
-            *_conv(48, 48),
-            nn.Conv2d(48, n_classes + 5, 1),
-        )
-
-    def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        fine = self.fine(volume)
-        boxes: torch.Tensor = self.head(torch.relu(fine + self.coarse(fine)))
-        return boxes
 
 
 NETWORKS: dict[str, tuple[Build, int]] = {
@@ -173,7 +136,7 @@ NETWORKS: dict[str, tuple[Build, int]] = {
     "wide": (partial(residual, widths=(32, 48, 64, 128)), 16),
     "separable": (separable, 8),
     "map": (object_map, 8),
-    "pyramid": (Pyramid, 8),
+    "boxes": (partial(object_map, n_of_boxes=4), 8),
 }
 """Name -> the function that builds the network, and the shortest side of a grid that it takes, in
 cells."""

@@ -226,7 +226,9 @@ class SceneScores:
 
 
 def _extents(size: np.ndarray) -> np.ndarray:
-    """What stands for a recording's shorter side beside objects of any size, twice: (N, 2).
+    """What stands for a recording's shorter side, for objects of any size.
+
+    Returns (N, 2), with the same number for x and for y.
 
     size : (N, 2), the width and height of the objects' boxes.
     """
@@ -259,10 +261,8 @@ list what is likely nothing. So the loss sees the logit of nothing less the loga
 of both weights (logit adjustment, Menon et al. 2021, arXiv:2007.07314)."""
 LEAST_SIZE_PX = 1.0
 """The least width and height of an object from which the size is learned."""
-SIZE_WEIGHT = 0.1
-"""Weight of the mean loss of sizes, beside the mean loss of classes."""
-BOX_WEIGHT = 1.0
-"""Weight of the mean loss of sizes and middles, beside the mean loss of classes."""
+BOX_WEIGHT = 0.1
+"""Weight of the mean loss of sizes, and of that of middles, beside the mean loss of classes."""
 
 
 class ObjectsInScenes:
@@ -352,11 +352,11 @@ class ObjectsInScenes:
 
     def _loss_of_boxes(self, found: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """The loss of boxes at N places: of sizes (N, 2), or of sizes and middles (N, 4)."""
+        sizes = F.smooth_l1_loss(found[:, :2], wanted[:, :2], beta=0.1)
         if self._of_boxes == 2:
-            return SIZE_WEIGHT * F.smooth_l1_loss(found, wanted, beta=0.1)
+            return BOX_WEIGHT * sizes
         # a middle is as wrong as its distance is in sizes of the object
         sides = wanted[:, :2].exp()
-        sizes = F.smooth_l1_loss(found[:, :2], wanted[:, :2], beta=0.1)
         middles = F.smooth_l1_loss(found[:, 2:] / sides, wanted[:, 2:] / sides, beta=0.1)
         return BOX_WEIGHT * (sizes + middles)
 

@@ -60,8 +60,8 @@ OF_RECORDING = 0.8
 """Longer side of an object of any size, as a share of what stands for its recording's shorter
 side."""
 LARGEST_SENSOR = 2.4
-"""Side of the sensor that is cut out around an object of any size, in the largest object's longer
-side."""
+"""Side of the sensor that is cut out around an object of any size, as a multiple of the largest
+object's longer side."""
 SMALLEST_CELLS = 10
 """Least longer side of an object in cells of a default grid."""
 TRIES = 20
@@ -213,7 +213,7 @@ class SceneMaker:
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """Scenes made of all `windows`, at places that `rng` draws."""
         n = len(windows)
-        # of an outline, time counts since the recording's start
+        # the times of outlines count from the recording's start
         since_us = windows.start_us + draws.start_us
         recorded = windows
         # An object that begins later must not show the events before its window. So each window
@@ -299,7 +299,7 @@ class SceneMaker:
         Parameters
         ----------
         taken : (K, 2), the places of the objects that are already in the scene.
-        extents : (K,), what stands for the shorter side of a recording beside each of them.
+        extents : (K,), for each of these objects, what stands for a recording's shorter side.
         rng : draws the place.
         """
         end = np.array(self.config.sensor) - 1.0
@@ -460,15 +460,15 @@ def _boxes_of_outlines(windows: Windows, times_us: np.ndarray, matrix: np.ndarra
 def _boxes_of_events(windows: Windows, until_us: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """The boxes around the events of windows' objects: float64, (2, N, 2).
 
-    Middles (x, y) stand first, then sizes. The middle is (0, 0) and the size (1, 1) without any
-    event, before both are moved. A single pixel has the size (1, 1).
+    Middles (x, y) stand first, then sizes. A box around a single pixel has the size (1, 1). So has
+    the box of a window without any event; its middle is (0, 0). Then boxes are moved.
 
     Parameters
     ----------
     windows : N windows, each on a whole recording, from `Windows.cut`.
     until_us : int64, (N,), in microseconds since a window's start. Only earlier events count.
-    matrix : float64, (N, 2, 3), moves each box, see `Draws.matrix`. Of a box that is turned, the
-        box around it counts.
+    matrix : float64, (N, 2, 3), moves each box, see `Draws.matrix`. If a box is turned, the box
+        around it counts.
     """
     middles = np.zeros((len(windows), 2))
     sizes = np.ones((len(windows), 2))

@@ -57,7 +57,7 @@ EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
 """Values of `TrainSettings` that differ from `RECIPE` for a map model. Classes are not balanced,
 because in scenes "nothing" is far more frequent than any class anyway."""
 
-OF_SCALES = "pyramid"
+OF_SCALES = "boxes"
 """The default network of a map model that learns objects of many sizes."""
 
 BATCH_OF_TABLES = 16

@@ -68,8 +68,8 @@ FOLLOWED = 6
 """Average factor by which a simulation takes longer if the sensor follows the object. Each pixel of
 such a sensor counts this many times."""
 CUT_OUT = 0.25
-"""Average share of the pixels of a sensor that is cut out around objects of many sizes that are
-simulated."""
+"""Average share of the pixels that are simulated, of a sensor that is cut out around objects of any
+size."""
 LEAST_SHARE = 0.1
 """Least share of `RECORDINGS` that a sensor has, however large it is."""
 CHUNK = 200

@@ -1,7 +1,7 @@
 """Read recordings with tables of boxes into windows to train and validate on, for a map model.
 
 Whole recordings, or groups of them, are held out, so that the same object is never on both sides.
-Of a single one, the last moments are.
+If there is only one recording or group, its last moments are held out.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ BLOCK = 8
 """Side of a block of cells whose mean tells how much noise there is, in cells."""
 QUIET = 25
 """Percentile of the blocks of a window that stands for its noise. It is low, because much of what a
-camera sees that moves is background with events of its own."""
+moving camera sees is background, which has events of its own."""
 
 
 def maker_of(
@@ -134,7 +134,7 @@ class TableScenes:
         # A box covers pixels from their edges on, and events are moved as the pixels' centres are.
         middle = boxes["middle"] - 0.5
         middle = np.einsum("nij,nj->ni", matrix[:, :, :2], middle) + matrix[:, :, 2]
-        # of a box that is turned, the box around it counts
+        # if a box is turned, the box around it counts
         size = np.einsum("nij,nj->ni", np.abs(matrix[:, :, :2]), boxes["size"])
         low = (middle - size / 2) / fine + 0.5
         high = (middle + size / 2) / fine + 0.5
@@ -142,7 +142,7 @@ class TableScenes:
 
 
 def fewest_events(size: np.ndarray) -> np.ndarray:
-    """How many events an object must have more than noise would leave in its box: float64, (K,).
+    """How many more events an object's box must have than noise would leave there: float64, (K,).
 
     size : float64, (K, 2), the width and height of the boxes, in sensor pixels.
     """
@@ -153,7 +153,7 @@ def fewest_events(size: np.ndarray) -> np.ndarray:
 def more_than_noise(
     events: np.ndarray, scene: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """How many events boxes have more than the noise of their windows leaves there: float64, (K,).
+    """How many more events boxes have than the noise of their windows leaves there: float64, (K,).
 
     The noise of a window is the mean of a quiet block of its cells, see `QUIET`.
 

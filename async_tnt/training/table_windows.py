@@ -34,8 +34,9 @@ from async_tnt.volume.sensor import Sensor, format_size
 PART = "train"
 """The folder of a data set in which recordings to learn from are looked for, if there is one."""
 MOST_MOMENTS = 20_000
-"""Most moments of all recordings together, of a sensor of at most `FULL_PIXELS`. The number of a
-larger sensor, whose windows have more events, is in inverse proportion to its number of pixels."""
+"""Most moments of all recordings together, for a sensor of at most `FULL_PIXELS`. The windows of a
+larger sensor have more events. So it has fewer moments, in inverse proportion to its number of
+pixels."""
 FULL_PIXELS = 304 * 240
 """Most pixels of a sensor that has all of `MOST_MOMENTS`: Gen1's."""
 LEAST_SHARE = 0.2
@@ -279,7 +280,9 @@ class WindowReader:
             raise ParameterValueError("sensor", rule, format_size(self.camera))
 
     def _boxes_of(self, k: int, rows: slice, events: np.ndarray) -> np.ndarray:
-        """The boxes of a moment that count, as those of the next window. Counts the others.
+        """The boxes of a moment that count. They belong to the window that is added next.
+
+        The other boxes are counted in `boxes_left_out`.
 
         Parameters
         ----------

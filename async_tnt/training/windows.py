@@ -94,7 +94,7 @@ class Windows:
     def slid(self, window_us: int, rng: np.random.Generator) -> Windows:
         """Windows that end earlier than these, each by a random share of a window's length.
 
-        Of windows that lie end to end, those that this gives end at any moment of a recording. One
+        If these windows lie end to end, the new ones end at any moment of a recording. A window
         that begins before its recording has fewer events, as in a stream that has just begun.
 
         window_us : a window's duration; not used if windows have a number of events.
@@ -256,8 +256,8 @@ def windows_of(
     recordings : the recordings to divide.
     config : says how long windows are, and whether they slide.
     which : indices of the recordings to divide; all by default.
-    moments : how many windows that slide end in the length of a window. With more than 1, windows
-        overlap, and those at the beginning of a recording have fewer events.
+    moments : how many windows that slide end within the length of one window. With more than 1,
+        windows overlap, and those at the beginning of a recording have fewer events.
     """
     if not config.slides:
         return make_windows(recordings, config.window_us, which=which, first_event=True)

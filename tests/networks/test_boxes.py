@@ -43,8 +43,8 @@ def box_model(
     """A network of a few convolutions, a head of classes and one of boxes.
 
     of_boxes : 2 for sizes, 4 for sizes and middles.
-    two_levels : whether a map of half the size is spread and added, as in `Pyramid`. The sides of
-        the map must be even.
+    two_levels : whether a map of half the size is spread and added, as in a feature pyramid. The
+        sides of the map must be even.
     """
 
     class Net(nn.Module):

@@ -1,6 +1,8 @@
 """What augmentation draws: how its changes are distributed, and the point about which windows are
 turned."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from made import events_of, random_events
@@ -12,10 +14,18 @@ from async_tnt.kernels.training.window_batches import (
     PATCH,
     SCATTERED,
 )
-from async_tnt.training.augment import KINDS, Augmentation, showing_nothing, unchanged
+from async_tnt.training.augment import (
+    FINE,
+    KINDS,
+    Augmentation,
+    during_slice,
+    fineness,
+    showing_nothing,
+    unchanged,
+)
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows
-from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.config import MAX_SIDE, TNTConfig
 
 CONFIG = TNTConfig()
 N = 5_000
@@ -94,6 +104,64 @@ def test_what_is_of_one_polarity_is_as_often_on_as_off(kind, share_of_one):
     on_share = draws.place[:, 7]
     found = np.mean(on_share == 0), np.mean(on_share == 1)
     assert found == pytest.approx((share_of_one / 2, share_of_one / 2), abs=0.03)
+
+
+def test_what_shows_nothing_stands_within_the_stated_shares_of_the_sensor():
+    """The sensor is twice as wide as high: an edge is measured by its longer side."""
+    wide = TNTConfig(sensor=(60, 30))
+    rng = np.random.default_rng(0)
+    place = {}
+    for name, kind in KINDS.items():
+        place[name] = showing_nothing(unchanged(N, wide), np.full(N, kind), rng).place
+
+    def assert_uniform(values, least, most):
+        """They reach from end to end, and half of them are below the middle."""
+        assert least <= values.min() < least + 0.01 * (most - least)
+        assert most - 0.01 * (most - least) < values.max() <= most
+        assert np.median(values) == pytest.approx((least + most) / 2, abs=0.03 * (most - least))
+
+    for name in ("scattered", "of one polarity"):
+        assert (place[name][:, :4] == (0, 0, 60, 30)).all()
+    hot = place["at hot pixels"][:, :6].reshape(-1, 2)
+    assert (hot == np.floor(hot)).all()
+    assert (hot.min(axis=0).tolist(), hot.max(axis=0).tolist()) == ([0, 0], [59, 29])
+    patch = place["on a patch"]
+    assert_uniform(patch[:, 2], 6, 30)
+    assert_uniform(patch[:, 3], 3, 15)
+    assert (patch[:, :2] >= 0).all() and (patch[:, :2] + patch[:, 2:4] <= (60, 30)).all()
+    edge = place["along an edge"]
+    assert_uniform(edge[:, 0], 15, 45)
+    assert_uniform(edge[:, 1], 7.5, 22.5)
+    assert_uniform(np.arctan2(edge[:, 3], edge[:, 2]), -np.pi, np.pi)
+    for column, least, most in ((4, 0.2, 1.2), (5, 0.01, 0.1), (6, 0.4, 2.0)):
+        assert_uniform(edge[:, column], 60 * least, 60 * most)
+
+
+def test_an_edge_goes_on_in_a_slice_where_it_ended_in_the_slice_before():
+    """All slices together have the edge's whole way, half of it on either side of its middle."""
+    whole = showing_nothing(unchanged(3, CONFIG), np.full(3, EDGE), np.random.default_rng(0))
+    before = whole.place.copy()
+    slices = [during_slice(whole, b, 4) for b in range(4)]
+    assert (whole.place == before).all()
+
+    def ends(draws):
+        """The middle of the edge at the beginning and at the end: (2, N, 2)."""
+        normal = draws.place[:, 2:4]
+        half = draws.place[:, 4:5] / 2
+        return np.stack([draws.place[:, :2] - half * normal, draws.place[:, :2] + half * normal])
+
+    np.testing.assert_allclose(ends(slices[0])[0], ends(whole)[0])
+    np.testing.assert_allclose(ends(slices[3])[1], ends(whole)[1])
+    for one, next_one in pairwise(slices):
+        np.testing.assert_allclose(ends(one)[1], ends(next_one)[0])
+
+
+def test_augmented_events_have_positions_that_a_sensor_may_have():
+    for side in (2, 3, 34, 1024, 1025, 1026, 1280, MAX_SIDE // 2, MAX_SIDE - 1, MAX_SIDE):
+        fine = fineness((side, 2))
+        assert fine == fineness((2, side)) and 1 <= fine <= FINE
+        assert (side - 1) * fine + 1 <= MAX_SIDE
+        assert fine == FINE or (side - 1) * (fine + 1) + 1 > MAX_SIDE
 
 
 @pytest.mark.parametrize("name", STILL)

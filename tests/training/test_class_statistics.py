@@ -2,16 +2,19 @@
 
 import numpy as np
 import pytest
-from made import random_model
+from made import random_events, random_model
 from training.gestures import bar
 
 from async_tnt import Processor, TNTConfig, load_model
 from async_tnt.networks.teaching import teach
 from async_tnt.networks.teaching.statistics import MAX_BYTES
+from async_tnt.networks.teaching.window_readings import MOMENTS
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.training import Recordings, make_windows
+from async_tnt.training.augment import KINDS
+from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.class_statistics import can_have_statistics, with_class_statistics
 
 
@@ -90,3 +93,27 @@ def test_a_class_without_windows_has_no_statistics():
         assert can_have_statistics(model, windows) == expected
     statistics = with_class_statistics(model, windows).statistics
     assert [moments.count for moments in statistics.moments.values()] == [1, 1]
+
+
+def test_each_kind_of_nothing_is_read_equally_often_at_all_moments(monkeypatch):
+    """Seven windows: a kind each, then the first two again."""
+    config = TNTConfig(sensor=(20, 16), grid=(20, 16), bins=2, window_us=1000, transform="none")
+    model = random_model(config, classes=2)
+    events = [random_events(40, seed=k, duration_us=1000, sensor=(20, 16)) for k in range(7)]
+    windows = make_windows(Recordings.from_events(events, [0, 1] * 3 + [0]), config.window_us)
+    kinds = []
+    until_us = []
+    volumes_of = BatchVolumes.__call__
+
+    def noted(self, windows, draws):
+        kinds.append(int(draws.content[0]))
+        until_us.append(int(draws.until_us[0]))
+        return volumes_of(self, windows, draws)
+
+    monkeypatch.setattr(BatchVolumes, "__call__", noted)
+    statistics = with_class_statistics(model, windows).statistics
+    n = len(MOMENTS)
+    every = list(KINDS.values())
+    assert kinds == [kind for kind in [*every, *every[:2]] for _ in MOMENTS]
+    assert until_us == [int(share * 1000) for share in MOMENTS] * 7
+    assert statistics.nothing.count == 7 * n

@@ -135,6 +135,17 @@ def test_the_decisions_of_all_moments_are_compared_with_their_own_windows():
     assert found.against_time == {50.0: 1.0, 100.0: 1.0}
 
 
+def test_windows_of_a_number_of_events_are_not_compared_with_time():
+    windows = SimpleNamespace(labels=np.array([0]), stop=np.array([7]))
+    found = Evaluation(windows, (100.0,), np.array([[[0.9, 0.1]]]), {})
+    assert found.against_time == {} and found.per_window == 1.0
+
+
+def test_without_windows_nothing_is_evaluated(models):
+    with pytest.raises(ValueError, match="`windows` must hold at least one window, got none"):
+        evaluate(pipeline_of(models[0.0]), shapes(2, 0)[:0])
+
+
 @pytest.mark.parametrize("kind", KINDS_OF_NOTHING.values(), ids=KINDS_OF_NOTHING)
 def test_nothing_is_shown_otherwise_in_each_window_and_always_the_same(kind, monkeypatch):
     """Also in later batches, here of three windows, whose events are those of the first ones."""

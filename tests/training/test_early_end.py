@@ -55,6 +55,8 @@ RIGHT = [row()] * 30
             [row(motions_validation_loss=0.8**k) for k in range(99)],
             None,
         ),
+        "it is 0": ([row(0.0)] * 30, 1 + PATIENCE),
+        "it is below 0 by rounding": ([row(-1e-12)] * 30, 1 + PATIENCE),
         "it rises": ([row(1.1**k) for k in range(99)], 1 + PATIENCE),
         "objects in scenes": ([{"epoch": 0, "loss": 0.5, "f1": 1.0}] * 30, PATIENCE),
         "objects that are not all found": ([{"epoch": 0, "loss": 0.5, "f1": 0.999}] * 30, None),

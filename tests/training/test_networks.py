@@ -18,11 +18,13 @@ from training.gestures import write_set  # noqa: E402
 
 from async_tnt import CompiledClassifier, TNTConfig  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
+from async_tnt.training import pipeline as pipeline_module  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.networks import NETWORKS, build_network, landmark_network  # noqa: E402
 from async_tnt.training.pipeline import (  # noqa: E402
     export,
     input_scale,
+    input_scales,
     new_pipeline,
     pipeline_before_export,
 )
@@ -30,7 +32,7 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(20, 18), grid=(20, 18), bins=3)
-MAPS = {"map": (1, 6, 2, 2), "pyramid": (1, 8, 2, 2)}
+MAPS = {"map": (1, 6, 2, 2), "boxes": (1, 8, 2, 2)}
 """Network that computes a map -> the shape of the map of the smallest grid, with three classes."""
 OWN = """
 from torch import nn
@@ -46,6 +48,11 @@ def normed(channels, grid, n_classes):
         nn.AdaptiveAvgPool2d(1),
         nn.Conv2d(4, n_classes, 1),  # logits (n_classes, 1, 1)
     )
+
+def twice(channels, grid, n_classes):
+    conv = nn.Conv2d(channels, channels, 3, padding=1)  # its weights are used twice
+    head = [nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes)]
+    return nn.Sequential(conv, nn.ReLU(), conv, *head)
 
 def mish(channels, grid, n_classes):
     conv = nn.Conv2d(channels, 4, 3)
@@ -84,7 +91,7 @@ def windows():
     )
 
 
-@pytest.mark.parametrize("name", [*NETWORKS, "linear", "normed"])
+@pytest.mark.parametrize("name", [*NETWORKS, "linear", "normed", "twice"])
 def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_path):
     """Batch norms and the input scale are folded.
 
@@ -147,12 +154,7 @@ def test_the_smallest_grid(name):
         build_network(name, 2, (40, side - 1), 3)
 
 
-def test_a_pyramid_needs_a_grid_that_can_be_halved_and_spread_again():
-    with pytest.raises(ValueError, match=r"a grid's sides must be multiples of 8, got \(44, 24\)"):
-        build_network("pyramid", 2, (44, 24), 3)
-
-
-def test_the_input_is_scaled_to_a_root_mean_square_of_one():
+def test_the_input_is_scaled_to_a_root_mean_square_of_one(monkeypatch):
     """Over all cells, also empty ones. By hand: eight events in four cells, two in each."""
     config = TNTConfig(
         sensor=(4, 4),
@@ -171,6 +173,27 @@ def test_the_input_is_scaled_to_a_root_mean_square_of_one():
     one = events_of([0], [0], [0], [1])
     both = make_windows(Recordings.from_events([four, one], [0, 1]), 100)
     assert input_scale(config, both) == pytest.approx(1 / np.sqrt((1 + 1 / 16) / 2))
+    # of many windows some are measured, spread over all
+    monkeypatch.setattr(pipeline_module, "N_MEASURED", 2)
+    three = make_windows(Recordings.from_events([four, four, one], [0, 0, 1]), 100)
+    assert input_scale(config, three) == pytest.approx(1 / np.sqrt((1 + 1 / 16) / 2))
+    # volumes in which all events cancel out have a scale, too
+    signed = config.replace(polarity="signed", representation="volume")
+    cancelled = events_of([5, 5], [1, 1], [2, 2], [0, 1])
+    nothing = make_windows(Recordings.from_events([cancelled], [0]), 100)
+    assert input_scale(signed, nothing) == pytest.approx(1e6)
+
+
+def test_both_inputs_of_a_regressor_are_measured_with_the_landmark_at_the_centre(windows):
+    """The input of the landmark network is the volume without the transform."""
+    config = CONFIG.replace(landmark="regressor", t_max=2.0)
+    found = input_scales(config, windows)
+    centered = CONFIG.replace(landmark="center", t_max=2.0)
+    assert found == {
+        "scale": input_scale(centered, windows),
+        "raw_scale": input_scale(centered.replace(transform="none"), windows),
+    }
+    assert found["scale"] != found["raw_scale"]
 
 
 def test_the_network_sees_the_logarithm_of_one_more_than_its_volume():

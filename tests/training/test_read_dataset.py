@@ -59,6 +59,33 @@ def test_what_is_trained_on_is_not_tested_on(tmp_path):
         dataset_data(tmp_path, TNTConfig(), split=Split(test=True))
 
 
+def test_the_part_to_test_on_has_classes_that_were_learned_and_may_lack_some(tmp_path):
+    write_64(tmp_path / "Train", {"upright": 2, "flat": 2})
+    test = tmp_path / "Test"
+
+    def tested():
+        return dataset_data(tmp_path, TNTConfig(), split=Split(0, test=True))
+
+    (test / "flat").mkdir(parents=True)
+    with pytest.raises(ValueError, match=rf"{test}: no recordings in any class folder$"):
+        tested()
+    torn = write(test / "flat" / "torn.npy", bar("flat", 90, side=64))
+    content = torn.read_bytes()
+    torn.write_bytes(content[:-7])
+    with pytest.raises(ValueError, match=r"no recording of class flat, upright is left; .*torn"):
+        tested()
+    events = bar("flat", 91, side=64)
+    events["x"][40] = 300
+    write(test / "flat" / "0.npz", events, sensor=SIZE)
+    data = tested()
+    assert set(data.tests["test"][0].labels) == {0}
+    assert "events left out of Test: 1 off the sensor" in data.notes
+    assert not any("left out of the recordings" in note for note in data.notes)
+    write(test / "slanted" / "0.npy", bar("slanted", 92, side=64))
+    with pytest.raises(ValueError, match=r"unknown class slanted; known are flat, upright$"):
+        tested()
+
+
 def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
     folder = write_64(tmp_path / "set", {"upright": 4, "flat": 4})
     good = np.load(folder / "flat" / "00.npy")
@@ -69,8 +96,10 @@ def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
     (folder / ".cache").mkdir()
     (folder / "upright" / "text.csv").write_text("t,x,y,p\n1,2,3,1\n2,3,words,0\n")
     (folder / "upright" / "what.raw").write_bytes(b"no recording")
+    (folder / "flat" / "gone.npy").symlink_to(tmp_path / "nowhere.npy")
     dataset = read_dataset(folder)
     expected = (
+        "flat/gone.npy: No such file or directory.",
         "flat/silent.npz: no events",
         "flat/torn.npy: not a readable NumPy file: ",
         "flat/zz.npy: the same events as flat/00.npy",
@@ -413,3 +442,6 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
     for share in (1, -0.1):
         with pytest.raises(ValueError, match=rf"`validation` must be in \[0, 1\), got {share}"):
             held_out_by(0, validation=share)
+    # the seed decides which ones
+    sides = {dataset_data(tmp_path, TNTConfig(), split=Split(seed=k)).held_out for k in range(4)}
+    assert len(sides) > 1

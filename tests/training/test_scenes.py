@@ -16,7 +16,7 @@ from tnt_reference import event_volume
 from async_tnt import Model, Processor, TNTConfig, load_model
 from async_tnt.training import objectives
 from async_tnt.training import scenes as module
-from async_tnt.training.augment import Augmentation, unchanged
+from async_tnt.training.augment import KINDS, Augmentation, unchanged
 from async_tnt.training.objectives import SceneScores
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.recordings import Recordings, RecordingsWriter
@@ -147,6 +147,20 @@ def test_an_object_may_stand_anywhere_on_the_scene_and_nowhere_beyond():
     assert module.APART * 16 <= nearest < module.APART * 16 + 1
 
 
+def test_half_of_the_objects_stand_beside_another_one(monkeypatch):
+    """Within its extent of 8 pixels in x and in y, as few of the other half do on 60 x 48."""
+    monkeypatch.setattr(module, "APART", 0.0)
+    maker = SceneMaker(CONFIG)
+    rng = np.random.default_rng(0)
+    there = np.array([[30.0, 24.0]])
+    places = np.array([maker._place(there, np.array([8.0]), rng) for _ in range(1_000)])
+    is_beside = (np.abs(places - there) <= 8).all(axis=1)
+    by_chance = 16 * 16 / (59 * 47)
+    assert is_beside.mean() == pytest.approx(0.5 + 0.5 * by_chance, abs=0.05)
+    # as often at one place around it as at another
+    np.testing.assert_allclose(places[is_beside].mean(axis=0), there[0], atol=0.8)
+
+
 def test_volumes_that_are_no_sums_are_refused():
     for config in (
         CONFIG.replace(transform="tnt"),
@@ -271,7 +285,7 @@ def test_the_loss_of_sizes_is_a_mean_over_the_places_of_objects(monkeypatch):
     of_classes = (losses[target] * weight).sum() / weight.sum()
     away = np.abs(np.log([4.0, 2.0]) - sizes[target < 3])
     of_sizes = np.where(away < 0.1, away**2 / 0.2, away - 0.05).mean()
-    expected = of_classes + objectives.SIZE_WEIGHT * of_sizes
+    expected = of_classes + objectives.BOX_WEIGHT * of_sizes
     assert found.loss.item() == pytest.approx(expected, rel=1e-5)
     assert sizes[target < 3].max() > 1.0  # objects are several pixels large
 
@@ -356,6 +370,86 @@ def test_early_in_a_window_few_objects_are_there():
     assert words["f1_against_time_ms"] == {
         f"{ms}": round(scores.after(pipeline, 1000 * ms).f1, 5) for ms in (10, 30)
     }
+
+
+def map_model(maker, channels=4):
+    """A map model of three classes with a place for each cell, for the scenes of a maker."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(maker.config.channels, channels, 1))
+    return net, Model.from_torch(net, maker.config, tuple("abc"))
+
+
+def test_about_so_many_scenes_are_scored_as_are_wanted(monkeypatch):
+    """Also if they are not made all at once."""
+    _, windows = recordings(60)
+    net, model = map_model(SceneMaker(CONFIG))
+    every = SceneScores(CONFIG, model, windows).after(Pipeline(CONFIG, net)).n_present.sum()
+    monkeypatch.setattr(SceneMaker, "at_once", 7)
+    parts = SceneScores(CONFIG, model, windows).after(Pipeline(CONFIG, net)).n_present.sum()
+    assert 50 < every <= 60 and 50 < parts <= 60
+    monkeypatch.setattr(objectives, "N_SCENES", 4)
+    few = SceneScores(CONFIG, model, windows).after(Pipeline(CONFIG, net)).n_present.sum()
+    assert 5 < few <= 4 * module.OBJECTS
+
+
+@pytest.mark.parametrize("has_sizes", [False, True])
+def test_an_object_is_found_within_a_share_of_its_extent(has_sizes, monkeypatch):
+    """.15 of the shorter side of its recording, 16 pixels. If objects have many sizes, .15 of what
+    stands for that side: the longer side of the object, divided by .8."""
+    seen = []
+    score_objects = objectives.score_objects
+
+    def noted(found, labels, positions, within_px, n_classes):
+        seen.append(np.broadcast_to(within_px, positions.shape))
+        return score_objects(found, labels, positions, within_px, n_classes)
+
+    monkeypatch.setattr(objectives, "score_objects", noted)
+    scenes = CONFIG.replace(sensor=(60, 48), grid=(60, 48)) if has_sizes else None
+    _, windows = recordings(20, 400)
+    maker = SceneMaker(CONFIG, scenes)
+    net, model = map_model(maker)
+    made = []
+    call = SceneMaker.__call__
+    monkeypatch.setattr(
+        SceneMaker, "__call__", lambda *given: made.append(call(*given)) or made[-1]
+    )
+    SceneScores(CONFIG, model, windows, scenes).after(Pipeline(CONFIG, net))
+    (shown,) = made
+    expected = np.full((len(shown.label), 2), 0.15 * 16)
+    if has_sizes:
+        expected = np.repeat(0.15 / 0.8 * shown.size.max(axis=1, keepdims=True), 2, axis=1)
+    expected = expected[np.argsort(shown.scene, kind="stable")]
+    assert len(expected) > 5
+    np.testing.assert_allclose(np.concatenate(seen), expected)
+
+
+def test_scenes_without_an_object_have_a_loss_too(monkeypatch):
+    """There is no size to learn then. Without draws, the same windows are the same scenes."""
+    net, _ = map_model(SceneMaker(CONFIG), channels=8)
+    monkeypatch.setattr(objectives, "build_network", lambda *_: net)
+    _, windows = recordings(9)
+    settings = TrainSettings(epochs=1)
+    objects = objectives.ObjectsInScenes(CONFIG, windows[:0], settings, ("a", "b", "c"))
+    pipeline = Pipeline(CONFIG, net)
+    draws = unchanged(9, CONFIG)
+    draws.content[:] = KINDS["scattered"]
+    nothing = objects.loss(pipeline, windows, draws)
+    assert (nothing.n, nothing.n_right) == (0, 0) and torch.isfinite(nothing.loss)
+    some = [objects.loss(pipeline, windows, None) for _ in range(2)]
+    assert some[0].n > 0 and some[0].loss == some[1].loss
+
+
+def test_a_network_without_a_map_learns_no_scenes(monkeypatch):
+    _, windows = recordings(1)
+    flat = torch.nn.Sequential(
+        torch.nn.Conv2d(CONFIG.channels, 3, 1),
+        torch.nn.AdaptiveAvgPool2d(1),
+        torch.nn.Flatten(),
+    )
+    monkeypatch.setattr(objectives, "build_network", lambda *_: flat)
+    rule = "`network` flat must compute a map of 4 channels, or of 6 .* or of 8 with their middles"
+    with pytest.raises(ValueError, match=rule):
+        settings = TrainSettings(epochs=1, network="flat")
+        objectives.ObjectsInScenes(CONFIG, windows[:0], settings, ("a", "b", "c"))
 
 
 @pytest.fixture(scope="module")
@@ -475,13 +569,40 @@ def test_scenes_of_objects_of_many_sizes_have_the_boxes_of_their_outlines(no_noi
         np.fill_diagonal(away, np.inf)
         assert (away > least - 2).all()  # places are moved to whole cells
     # half of the scene has passed, or less of what began later: the squares are halfway or behind
-    boxes = module._boxes_of_outlines(windows, np.array([500] * 29 + [2000]), draws.matrix)
-    np.testing.assert_allclose(boxes[0, :29], 20, atol=1e-5)
-    np.testing.assert_allclose(boxes[0, 29], (23, 20), atol=1e-5)  # it stays where it was last
+    times_us = np.array([500] * 28 + [-900, 2000])
+    boxes = module._boxes_of_outlines(windows, times_us, draws.matrix)
+    np.testing.assert_allclose(boxes[0, :28], 20, atol=1e-5)
+    # it stays where it was first and last
+    np.testing.assert_allclose(boxes[0, 28:], [(17, 20), (23, 20)], atol=1e-5)
     turned = draws.matrix.copy()
     turned[:, :, :2] = np.sqrt(0.5) * np.array([[1, -1], [1, 1]])
     boxes = module._boxes_of_outlines(windows, np.full(30, 500), turned)
     np.testing.assert_allclose(boxes[1, 1], 4 * np.sqrt(2), rtol=1e-5)
+
+
+def test_a_box_is_that_of_the_outline_at_the_moment_when_the_scene_ends(no_noise):
+    """A square that grows from 4 to 16 pixels in a millisecond, in windows that begin at 250 us and
+    are shown from 300 us on: after 500 us more, its side is 4 + .8 x 12. It is younger where it
+    begins later than the scene, by up to half of a window."""
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    outline = (np.linspace(4, 16, 4)[:, None, None] * corners + 20).astype(np.float32)
+    rng = np.random.default_rng(0)
+    config = CONFIG.replace(sensor=(40, 40), grid=(20, 20))
+    with RecordingsWriter() as writer:
+        for k in range(40):
+            t = np.sort(rng.integers(0, 1000, 2_000))
+            x, y = rng.integers(18, 22, (2, 2_000))
+            writer.add(events_of(t, x, y, t % 2), 0, str(k), outline, 1000)
+        windows = Windows(writer.finish(), np.arange(40), np.full(40, 250))
+    draws = unchanged(40, config)
+    draws.start_us[:] = 50
+    draws.until_us[:] = 500
+    whole = CONFIG.replace(sensor=(120, 80), grid=(60, 40))
+    sides = SceneMaker(config, whole)(windows, draws, np.random.default_rng(0)).size[:, 0]
+    at_once = np.isclose(sides, 4 + 0.8 * 12)
+    assert 8 <= at_once.sum() <= len(sides) - 8
+    assert (sides[~at_once] < 4 + 0.8 * 12).all() and sides.min() > 4 + 0.3 * 12
+    assert sides.min() < 4 + 0.45 * 12
 
 
 def test_outlines_that_are_not_known_leave_the_boxes_of_events(no_noise):
@@ -503,6 +624,12 @@ def test_outlines_that_are_not_known_leave_the_boxes_of_events(no_noise):
     assert sizes == {0: [4.0, 2.0], 1: [0.0, 0.0]}
     with pytest.raises(ValueError, match="recordings with outlines cannot be added"):
         made + made
+    with RecordingsWriter() as writer:  # they are kept with the recordings
+        writer.extend(made)
+        writer.extend(made)
+        twice = writer.finish()
+    assert twice.outlined_us.tolist() == [0, 1000] * 2
+    np.testing.assert_array_equal(twice.outlines, np.tile(made.outlines, (2, 1, 1, 1)))
 
 
 @pytest.mark.parametrize("wrong", [(0.0, 0.5), (0.5, 0.4), (0.5, 1.5)])

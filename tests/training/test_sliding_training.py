@@ -14,7 +14,9 @@ pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.training.augment import KINDS, fineness, showing_nothing, unchanged
 from async_tnt.training.batches import BatchVolumes
-from async_tnt.training.held_out import hold_out_ends
+from async_tnt.training.data import dataset_data
+from async_tnt.training.held_out import Split, hold_out_ends
+from async_tnt.training.loop import batches_of
 from async_tnt.training.plan import Plan
 from async_tnt.training.settings import settings_for
 from async_tnt.training.volume_choice import VolumeChoice
@@ -196,6 +198,22 @@ def test_windows_slide_to_all_moments(window):
     assert np.max(ends) <= 1.0
 
 
+@pytest.mark.parametrize("window", [{"last_us": 700}, {"last_events": 60}], ids=str)
+def test_each_epoch_shows_windows_that_slide_at_other_moments(window):
+    config = config_of(**window)
+    recordings = Recordings.from_events([recording(np.arange(600) * 10)], [0])
+    windows = windows_of(recordings, config)
+    settings = settings_for(config, 100, passes=1, balance=False)
+    ends_us = []
+    for epoch in (0, 1):
+        batches = [shown for shown, _ in batches_of(config, windows, settings, epoch)]
+        shown_us = np.concatenate([shown.ends_us(700) for shown in batches])
+        assert len(shown_us) == len(windows)
+        ends_us.append(set(shown_us.tolist()))
+    own_us = set(windows.ends_us(700).tolist())
+    assert len(ends_us[0] & own_us) < 3 and len(ends_us[0] & ends_us[1]) < 3
+
+
 def test_a_held_out_end_shares_no_event_with_windows_to_learn_from():
     config = config_of(last_events=50)
     recordings = Recordings.from_events([random_events(1_000, sensor=SENSOR)], [0])
@@ -206,6 +224,22 @@ def test_a_held_out_end_shares_no_event_with_windows_to_learn_from():
     rng = np.random.default_rng(0)
     for _ in range(20):  # they slide to earlier moments
         assert learned.slid(config.window_us, rng).stop.max() <= (held_out.stop - 50).min()
+
+
+def test_held_out_windows_end_at_four_moments_in_the_length_of_a_window(tmp_path):
+    """Those to learn from lie end to end: in each epoch they slide to other moments."""
+    folder = tmp_path / "set"
+    write_set(folder / "Train", {"upright": 2, "flat": 2}, side=34)
+    write_set(folder / "Test", {"upright": 1, "flat": 1}, seed=1, side=34)
+    data = dataset_data(folder, VolumeChoice.of(last_us=20_000), split=Split(0.5, test=True))
+    for windows, apart_us in (
+        (data.training, 20_000),
+        (data.validation, 5_000),
+        (data.tests["test"][0], 5_000),
+    ):
+        starts_us = windows.start_us[windows.recording == windows.recording[0]]
+        assert len(starts_us) >= 4
+        assert set(np.diff(starts_us)[:-1].tolist()) == {apart_us}  # the last one ends at the end
 
 
 def test_the_settings_of_windows_that_slide():

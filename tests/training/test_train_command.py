@@ -213,7 +213,7 @@ REFUSED_EARLY = [
     (("--volume", "remove_flow=yes"), "remove_flow"),
     (
         ("--network", "conv5"),
-        "must be one of thesis, conv4, residual, wide, separable, map, pyramid, or "
+        "must be one of thesis, conv4, residual, wide, separable, map, boxes, or "
         "FILE.py:FUNCTION; got 'conv5'",
     ),
     (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),

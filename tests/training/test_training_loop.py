@@ -12,9 +12,10 @@ from made import events_of
 
 torch = pytest.importorskip("torch")
 
+from async_tnt.base.files import locked_folder  # noqa: E402
 from async_tnt.base.progress import Bar  # noqa: E402
 from async_tnt.networks.models.model import Model  # noqa: E402
-from async_tnt.training import loop  # noqa: E402
+from async_tnt.training import loop, run_folder  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.loop import _optimizer, balanced_order, batches_of  # noqa: E402
@@ -25,8 +26,10 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import (  # noqa: E402
     CHECKPOINT,
     FORMAT,
+    identity_of,
     load_checkpoint,
     save_checkpoint,
+    windows_checksum,
 )
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
 from async_tnt.training.training_data import TrainingData  # noqa: E402
@@ -446,6 +449,101 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
     ):
         with pytest.raises(ValueError, match=message):
             train(CONFIG, training, training[:0], settings, trained[1], classes=classes)
+
+
+@pytest.mark.parametrize("side", ["training", "validation"])
+@pytest.mark.parametrize("wrong", [-1, 2])
+def test_a_label_of_no_class_is_named(side, wrong, windows, tmp_path):
+    labels = windows.recordings.labels.copy()
+    labels[5] = wrong
+    other = replace(windows, recordings=replace(windows.recordings, labels=labels))
+    sides = {"training": windows, "validation": windows, side: other}
+    with pytest.raises(ValueError, match=rf"^labels must be in \[0, 2\), .*, got {wrong}$"):
+        train(CONFIG, sides["training"], sides["validation"], ONE_EPOCH, tmp_path)
+
+
+def test_a_start_or_a_teacher_of_other_windows_or_classes_is_refused(windows, trained, tmp_path):
+    model = trained[0].model
+    renamed = replace(model, classes=("a", "b"))
+    small = model.config.replace(sensor=(20, 34))
+    for more, message in (
+        ({"start": renamed}, "`start` must have the configuration and classes .* classes a, b$"),
+        ({"teachers": [model, renamed]}, "each `teacher` must have .* and classes a, b$"),
+        (
+            {"teachers": [replace(model, config=small)]},
+            r"each `teacher` must have the sensor \(34, 34\) .*, got \(20, 34\) and classes",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, **more)
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_trainings_do_not_write_into_one_run_folder(windows, tmp_path):
+    with (
+        locked_folder(tmp_path / "run", "training.lock"),
+        pytest.raises(BlockingIOError, match="at work there"),
+    ):
+        train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path / "run")
+    assert not (tmp_path / "run" / CHECKPOINT).exists()
+
+
+@pytest.mark.parametrize("is_fast", [True, False])
+@pytest.mark.parametrize("precision", ["float32", "bfloat16", "auto"])
+def test_networks_multiply_in_16_bits_if_asked_or_where_it_is_fast(
+    precision, is_fast, windows, tmp_path, monkeypatch
+):
+    class Stop(Exception):
+        pass
+
+    def loss_of(*_):
+        seen.append(torch.is_autocast_enabled("cpu"))
+        raise Stop
+
+    seen = []
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(loop, "_is_fast_at_bfloat16", lambda device: is_fast)
+    monkeypatch.setattr(ClassOfWindows, "loss", loss_of)
+    with pytest.raises(Stop):
+        settings = replace(ONE_EPOCH, precision=precision)
+        train(CONFIG, windows, windows[:0], settings, tmp_path)
+    assert seen == [precision == "bfloat16" or (precision == "auto" and is_fast)]
+
+
+def test_what_decides_the_scenes_is_part_of_the_run(windows):
+    data = TrainingData(CONFIG, CLASSES, windows, windows[:0])
+    found = [
+        identity_of(replace(data, scenes=scenes), ONE_EPOCH)["scenes"]
+        for scenes in (None, CONFIG, CONFIG.replace(grid=(20, 20)))
+    ]
+    assert found[0] is None and found[1] is not None and found[1] != found[2]
+
+
+def test_all_that_windows_show_is_in_their_checksum(windows, monkeypatch):
+    """Also the last event of recordings that are read in several parts, those that are only held
+    out, and the outlines of objects."""
+    monkeypatch.setattr(run_folder, "CHUNK", 1_000)
+    made = windows.recordings
+    outlines = np.zeros((len(made), 2, 4, 2), np.float32)
+    outlined_us = np.full(len(made), 9)
+
+    def changed(name, array):
+        other = array.copy()
+        other[-1] += 1
+        return replace(windows, recordings=replace(made, **{name: other}))
+
+    with_outlines = replace(
+        windows, recordings=replace(made, outlines=outlines, outlined_us=outlined_us)
+    )
+    moved = replace(
+        windows, recordings=replace(made, outlines=outlines + 1, outlined_us=outlined_us)
+    )
+    others = [changed("t", made.t), with_outlines, moved]
+    checksums = [windows_checksum(one, one[:0]) for one in (windows, *others)]
+    checksums.append(windows_checksum(windows[:3], windows[3:5]))
+    checksums.append(windows_checksum(windows[:3], others[0][3:5]))
+    assert len(set(checksums)) == len(checksums)
+    assert windows_checksum(windows, windows[:0]) == checksums[0]
 
 
 def test_other_windows_to_validate_on_are_another_run(windows, tmp_path):

@@ -16,6 +16,7 @@ from async_tnt import TNTConfig, load_model
 from async_tnt.resynthesis.calibration import differing_numbers, side_by_side
 from async_tnt.resynthesis.reconstruction import SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.training import resynthesis
 from async_tnt.training.fitting import fit
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import moved_recordings
@@ -103,6 +104,10 @@ def test_every_window_but_noise_has_other_motions(windows, made):
     assert motions.validation.labels.tolist() == [0, 0, 1, 1]
     assert (motions.record["windows"], motions.record["with_path"]) == (14, 12)
     assert (motions.record["held_out_windows"], motions.record["held_out_with_path"]) == (6, 4)
+    assert motions.record["with_neighbours"] == 0  # each window has its own path
+    (reason,) = set(motions.refused[12:])
+    assert reason and motions.record["without_path"] == {reason: 2}
+    assert (motions.refused[:12] == "").all()
     np.testing.assert_allclose(motions.paths[:12:2, -1], np.tile([6, 0], (6, 1)), atol=1.6)
     np.testing.assert_allclose(motions.paths[1:12:2, -1], np.tile([0, 6], (6, 1)), atol=1.6)
     moved = moved_recordings([folder / "training_000005.npz"], 1, np.arange(5), CONFIG)
@@ -151,7 +156,10 @@ def test_a_figure_shows_the_motions_that_are_in_the_files(windows, made):
     motions, _ = made
     recordings = replace(windows[0].recordings, labels=np.arange(7))
     training = replace(windows[0], recordings=recordings)
-    shown, _ = examples(replace(motions, training=training), tuple("abcdefg"))
+    shown, refused = examples(replace(motions, training=training), tuple("abcdefg"))
+    ((name, events, reason),) = [(one.name, one.recorded, one.reason) for one in refused]
+    assert (name, reason) == ("g", motions.refused[12])
+    np.testing.assert_array_equal(events["t"], training.events(12, WINDOW_US)[0])
     chosen = {"abcdefg".index(example.name): example for example in shown}
     assert len(chosen) == 5 and {2 * k // 5 for k in chosen} == {0, 1, 2}
     all_others = []
@@ -164,6 +172,34 @@ def test_a_figure_shows_the_motions_that_are_in_the_files(windows, made):
                 np.testing.assert_array_equal(other[name], getattr(moved, name)[of_window])
             all_others.append(other)
     assert len({other.tobytes() for other in all_others}) == 10
+
+
+def test_a_recorded_window_has_the_events_around_it_that_augmentation_may_move_it_to(windows, made):
+    """A tenth of its length before it, and after it also what a late start needs. Windows 6 and 7
+    are the first and the second one of a recording."""
+    motions = replace(made[0], settings=replace(SETTINGS, recorded=1.0))
+    around_us = (WINDOW_US // 10, 7 * WINDOW_US // 10)
+    shown = motions.show(0, np.array([7, 6]), np.random.default_rng(0))
+    for k, own in ((0, 7), (1, 6)):
+        expected = windows[0].events(own, WINDOW_US, around_us)
+        assert len(expected[0]) > len(windows[0].events(own, WINDOW_US)[0])
+        np.testing.assert_array_equal(shown.events(k, WINDOW_US, around_us), expected)
+
+
+def test_a_file_has_as_many_windows_as_have_about_so_many_events(windows, monkeypatch, tmp_path):
+    monkeypatch.setattr(resynthesis, "MOST_WINDOWS", 500)
+    some = windows[0][:12]
+    n_events = sum(len(some.events(k, WINDOW_US)[0]) for k in range(12))
+
+    def firsts(most_events):
+        monkeypatch.setattr(resynthesis, "MOST_EVENTS", most_events)
+        chunks = resynthesis._chunks("training", some, CONFIG, tmp_path, 2)
+        assert sum(len(chunk.windows) for chunk in chunks) == 12
+        return [chunk.first for chunk in chunks]
+
+    assert firsts(n_events) == [0]
+    assert firsts(n_events / 12 * 5.5) == [0, 5, 10]
+    assert firsts(1) == list(range(12))
 
 
 def test_what_an_epoch_shows(windows, made):
@@ -215,6 +251,7 @@ def test_training_is_validated_on_other_motions_if_they_are_many(
         "per_window" in row
         and ({"motions_per_window", "motions_validation_loss"} <= set(row)) == is_told
     )
+    assert "motions_per_recording" not in row
     assert ("validation_motions" in fitted.model.record) == is_told
     if is_told:  # each of these windows is a recording of its own
         found = fitted.model.record["validation_motions"]
@@ -248,6 +285,12 @@ def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
     refused(r"other motions \(variations\)", settings=MotionSettings(variations=3))
     refused(r"other motions \(windows\)", of=(windows[1], windows[1]))
     refused(r"other motions \(mask\)", masked=np.eye(34, dtype=bool))
+    refused(r"other motions \(seed\)", settings=replace(SETTINGS, seed=1))
+    for name, value in (("sensor", (40, 34)), ("window_us", WINDOW_US + 1)):
+        with pytest.raises(ValueError, match=rf"other motions \({name}\)"):
+            resynthesize(*windows, CONFIG.replace(**{name: value}), SETTINGS, tmp_path / "torn")
+    with pytest.raises(ValueError, match=r"torn: damaged \(5 windows, expected 4\)"):
+        moved_recordings([tmp_path / "torn/training_000000.npz"], 0, np.arange(4), CONFIG)
     path = tmp_path / "torn" / "held-out_000000.npz"
     arrays = dict(np.load(path))
     content = path.read_bytes()
@@ -263,6 +306,14 @@ def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
         moved[name][-1] = value
         np.savez(path, **arrays | {"moved_0": moved})
         refused(f"held-out_000000.npz: damaged .*`{name}` must")
+    for name, wrong in (
+        ("refused", arrays["refused"][:, np.newaxis]),
+        ("spans", arrays["spans"][:-1]),
+        ("spans", arrays["spans"].astype(float)),
+        ("positions", arrays["positions"][:, 1:]),
+    ):
+        np.savez(path, **arrays | {name: wrong})
+        refused("held-out_000000.npz: damaged .*`refused`, `spans` and `positions` have shapes")
     for text in ("{", "[]", "[" * 10_000):
         (tmp_path / "torn" / "motions.json").write_text(text)
         refused(r"motions\.json: damaged")
@@ -273,6 +324,9 @@ def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
             MotionSettings(recorded=share)
     with pytest.raises(ValueError, match="`window_us` must be at least 104"):
         resynthesize(*windows, CONFIG.replace(window_us=100), SETTINGS, tmp_path / "short")
+    sliding = TNTConfig(representation="count", last_us=WINDOW_US)
+    with pytest.raises(ValueError, match="`config` must have windows with a start"):
+        resynthesize(*windows, sliding, SETTINGS, tmp_path / "sliding")
 
 
 def test_the_command(tmp_path, program, few_steps):

@@ -18,6 +18,7 @@ from async_tnt.simulation.outlines import MOMENTS, POINTS
 from async_tnt.simulation.picture_scene import PictureRecording, SceneSettings
 from async_tnt.simulation.pictures import read_picture
 from async_tnt.sources.pixels.pixels import Pixels
+from async_tnt.training import data as data_module
 from async_tnt.training import plan, settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
@@ -138,6 +139,35 @@ def test_pictures_and_recordings_mix(tmp_path):
         "disc/disc04.png",
         "wave/wave93.npz",
     }
+    record = data.record
+    assert (record["real_recordings"], record["held_out_recordings"]) == (6, 2)
+    assert record["pictures"]["held_out"] == 2
+    assert "recordings and pictures: bar 9, disc 5, wave 4" in data.notes
+    for path in tmp_path.glob("p/*/*.npz"):
+        path.unlink()
+    (tmp_path / "p/wave").rmdir()
+    (tmp_path / "p/bar/bar00.png").write_text("no picture")
+    data = data_of(tmp_path / "p")
+    # no recording follows another one where there are pictures alone
+    assert data.record["held_out_recordings"] == data.record["real_recordings"] == 0
+    assert not any("within seconds" in note for note in data.notes)
+    assert data.record["left_out"] == list(data.left_out) != []
+
+
+def test_windows_of_a_number_of_events_are_cut_of_recordings_of_the_default_length(
+    tmp_path, monkeypatch
+):
+    """The number says nothing of how long a camera must record."""
+    asked = []
+    monkeypatch.setattr(
+        data_module, "with_pictures", lambda *given: asked.append(given[3]) or pytest.fail("asked")
+    )
+    folder = write_pictures(tmp_path / "p", n=2)
+    pixels = Pixels(sensor=SENSOR)
+    for window, window_us in (({"last_events": 50}, 105_000), ({"last_us": 30_000}, 30_000)):
+        with pytest.raises(pytest.fail.Exception, match="asked"):
+            dataset_data(folder, VolumeChoice.of(**window), pixels=pixels)
+        assert (asked[-1].window_us, asked[-1].sensor) == (window_us, SENSOR)
 
 
 def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
@@ -180,6 +210,10 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     manifest.write_text(good)
     with pytest.raises(ValueError, match=r"pictures \(settings\)"):
         simulated(tmp_path / "a", SceneSettings(SENSOR, 40_000))
+    with monkeypatch.context() as patch:  # recordings of another release
+        patch.setattr(simulated_pictures, "FORMAT", simulated_pictures.FORMAT + 1)
+        with pytest.raises(ValueError, match=r"pictures \(format\)"):
+            simulated(tmp_path / "a")
     with pytest.raises(pytest.fail.Exception, match="made again"):
         simulated(tmp_path / "b")
     changed = pictures[0].path.read_bytes()
@@ -255,23 +289,26 @@ def test_every_recording_has_motions_of_its_own(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("sensor", "follow", "n_takes"),
+    ("sensor", "how", "n_takes"),
     [
-        ((128, 128), False, 40),
-        ((64, 32), False, 40),
-        ((256, 128), False, 20),
-        ((128, 128), True, 7),  # 40 / 6
-        ((64, 32), True, 40),
-        ((1280, 720), False, 4),  # a tenth at least
-        ((1280, 720), True, 4),
+        ((128, 128), {}, 40),
+        ((64, 32), {}, 40),
+        ((256, 128), {}, 20),
+        ((128, 128), {"follow": True}, 7),  # 40 / 6
+        ((64, 32), {"follow": True}, 40),
+        ((1280, 720), {}, 4),  # a tenth at least
+        ((1280, 720), {"follow": True}, 4),
+        ((256, 256), {"cut_out": True}, 40),
+        ((512, 256), {"cut_out": True}, 20),
     ],
 )
-def test_a_sensor_that_takes_longer_takes_fewer(sensor, follow, n_takes, tmp_path, monkeypatch):
-    """A large one, and one that follows the object, which takes six times as long."""
+def test_a_sensor_that_takes_longer_takes_fewer(sensor, how, n_takes, tmp_path, monkeypatch):
+    """A large one, and one that follows the object, which takes six times as long. Of one that is
+    cut out around objects, a quarter is simulated."""
     monkeypatch.setattr(simulated_pictures, "run_counted", lambda *_: None)
     monkeypatch.setattr(simulated_pictures, "_read", lambda chunk: [NOTHING] * len(chunk.takes))
     picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p", n=1))["bar"][0], 0)
-    settings = SceneSettings(sensor, 20_000, follow=follow)
+    settings = SceneSettings(sensor, 20_000, **how)
     with RecordingsWriter() as writer:
         takes = simulate_pictures(writer, "training", [picture], settings, tmp_path / "a")
         assert takes == len(writer.finish()) == n_takes
@@ -298,7 +335,7 @@ def test_pictures_of_all_usual_formats_are_found(tmp_path):
     assert [path.name for path in found] == [f"a.{suffix}" for suffix in suffixes]
 
 
-def test_the_example_of_a_class_is_its_first_picture_that_can_be_read(tmp_path):
+def test_the_example_of_a_class_is_its_first_picture_that_can_be_read(tmp_path, monkeypatch):
     """One is damaged, and one is gone since it was found."""
     folder = write_pictures(tmp_path / "p")
     found = {name: paths[:3] for name, paths in find_pictures(folder).items()}
@@ -307,6 +344,9 @@ def test_the_example_of_a_class_is_its_first_picture_that_can_be_read(tmp_path):
     second.unlink()
     shown = example_recordings(found, SceneSettings(SENSOR, 100_000), seed=0)
     assert [name for name, *_ in shown] == list(found)
+    monkeypatch.setattr(simulated_pictures, "N_EXAMPLES", 1)
+    (only,) = example_recordings(found, SceneSettings(SENSOR, 100_000), seed=0)
+    assert only[0] == "bar"
     examples = {name: light for name, light, _ in shown}
     assert np.array_equal(examples["bar"], read_picture(third).light)
     assert np.array_equal(examples["disc"], read_picture(found["disc"][0]).light)
@@ -449,7 +489,7 @@ def test_objects_of_many_sizes_are_learned_in_scenes_of_the_sensor(tmp_path, pro
     assert model.by_share and model.has_sizes
     # the smallest objects have about 10 cells: 50 along the shorter side, in steps of 8
     assert (model.config.sensor, model.config.grid) == ((96, 64), (72, 48))
-    assert model.logits_shape == (2 + 5, 12, 18) and model.record["network"] == "pyramid"
+    assert model.logits_shape == (2 + 5, 12, 18) and model.record["network"] == "boxes"
     settings_of_pictures = model.record["data"]["pictures"]["settings"]
     # 2.4 times the largest object of 32 pixels
     assert settings_of_pictures["sensor"] == [77, 77] and settings_of_pictures["cut_out"] is True

@@ -1,10 +1,12 @@
 """Recordings in memory -> windows, split by recording."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made import events_of
 
-from async_tnt.training.recordings import Recordings
+from async_tnt.training.recordings import BOX_DTYPE, Recordings, RecordingsWriter
 from async_tnt.training.windows import make_windows
 
 
@@ -49,6 +51,48 @@ def test_times_that_a_column_does_not_hold_are_refused():
     for last_us in (1 << 31, 1 << 32):
         with pytest.raises(ValueError, match=rf"^one: times must be in order .* 0 to {last_us}$"):
             Recordings.from_events([recording([0, last_us])], [0], ["one"])
+
+
+@pytest.mark.parametrize("times_us", [[-1, 5], [3, 9, 8, 20]], ids=str)
+def test_times_before_the_start_or_out_of_order_are_refused(times_us):
+    rule = r"^one: times must be in order and in \[0, 2\*\*31\) us, got "
+    with RecordingsWriter() as writer, pytest.raises(ValueError, match=rule):
+        writer.add(recording(times_us), 0, "one")
+
+
+def test_recordings_in_memory_have_a_label_and_a_name_each():
+    with pytest.raises(ValueError, match=r"^`labels` must have one per recording, got 2 for 1$"):
+        Recordings.from_events([recording([1])] * 2, [0, 1], ["one"])
+    assert Recordings.from_events([recording([1])] * 2, [0, 1]).names == ("0", "1")
+
+
+@pytest.mark.parametrize("is_mapped", [False, True])
+def test_recordings_that_are_appended_in_blocks_stay_as_they_are(is_mapped, monkeypatch, tmp_path):
+    """Also those without an event, in memory and in files."""
+    monkeypatch.setattr("async_tnt.training.recordings.BLOCK", 3)
+    made = Recordings.from_events(map(recording, [[1, 2, 3, 4], [], [5, 6, 7]]), [2, 0, 1])
+    folder = tmp_path if is_mapped else None
+    with RecordingsWriter(folder) as writer:
+        writer.extend(made)
+        writer.add(recording([9]), 5, "last")
+        found = writer.finish()
+    assert found.t.tolist() == [1, 2, 3, 4, 5, 6, 7, 9]
+    assert found.offsets.tolist() == [0, 4, 4, 7, 8]
+    assert (found.labels.tolist(), found.names) == ([2, 0, 1, 5], ("0", "1", "2", "last"))
+    with RecordingsWriter(folder) as writer:
+        writer.extend(Recordings.from_events([recording([])], [4]))
+        empty = writer.finish()
+    assert len(empty) == 1 and len(empty.t) == 0 and empty.t.dtype == np.int32
+
+
+def test_boxes_are_those_of_each_recording_that_is_asked_for():
+    boxes = np.zeros(5, BOX_DTYPE)
+    boxes["recording"] = [0, 0, 2, 2, 2]
+    boxes["label"] = range(5)
+    made = Recordings.from_events(map(recording, [[1], [2], [3]]), [0, 0, 2])
+    places, found = replace(made, boxes=boxes).boxes_of(np.array([2, 1, 0, 2]))
+    assert places.tolist() == [0, 0, 0, 2, 2, 3, 3, 3]
+    assert found["label"].tolist() == [2, 3, 4, 0, 1, 2, 3, 4]
 
 
 def test_windows_that_are_cut_out_keep_their_events_classes_and_names():
