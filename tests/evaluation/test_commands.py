@@ -278,6 +278,8 @@ def test_a_job_names_a_bundled_model_or_a_file_wherever_its_worker_starts(tmp_pa
     gone = task_of("3/b.bin", Path("3", "b.bin"), job, "3", (5, 9))
     assert (gone.label, gone.between_us) == ("3", (5, 9))
     assert gone.bytes is None and gone.modified_ns is None
+    # a file's name need not be text
+    assert task_of("3/\udcff.bin", Path("3", "b.bin"), job).recording == r"3/\udcff.bin"
 
 
 @pytest.mark.parametrize("option", [{"columns": "xypt"}, {"topic": "/left"}], ids=str)

@@ -209,6 +209,19 @@ def test_a_large_picture_with_a_palette_is_averaged(tmp_path):
     assert np.mean((light > 0.02) & (light < 0.98)) > 0.8
 
 
+def test_a_picture_of_floats_has_no_light_below_0(tmp_path):
+    """Without any light there is nothing on it."""
+    values = np.zeros((20, 24), np.float32)
+    values[4:16, 8:12] = 7.0
+    expected = read_picture(saved(tmp_path / "a.tiff", values))
+    values[1, 1] = -300.0
+    found = read_picture(saved(tmp_path / "a.tiff", values))
+    np.testing.assert_array_equal(found.light, expected.light)
+    for dark in (0.0, -2.0):
+        with pytest.raises(ValueError, match="nothing is on this picture"):
+            read_picture(saved(tmp_path / "a.tiff", np.full((4, 4), dark, np.float32)))
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_picture_of_floats_is_finite(tmp_path, wrong):
     values = bar().astype(np.float32)
@@ -514,7 +527,10 @@ def test_some_motions_turn_round_and_come_back():
     def comes_back(seed, back):
         rng = np.random.default_rng(seed)
         motion, turn = random_motion(10.0, shares, rng, most_turn=1.0, back=back)
-        gone = np.abs(turn[:, 0] - turn[0, 0])
+        way = turn[:, 0] - turn[0, 0]
+        gone = np.abs(way)
+        # what comes back stays where it began
+        assert (way * way[gone.argmax()]).min() > -1e-9
         assert np.hypot(*motion.T).max() > 1
         return gone[-1] < 0.999 * gone.max()
 

@@ -135,10 +135,19 @@ def test_the_colours_of_an_event_image_have_names(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("slides", [{"last_events": 50}, {"last_us": 30_000}], ids=str)
+@pytest.mark.parametrize(
+    "slides",
+    [
+        {"representation": "count", "last_events": 50},
+        {"representation": "count", "last_us": 30_000},
+        # its slices of time count from the stream's start
+        {"representation": "volume", "last_us": 30_000, "bins": 4, "transform": "none"},
+    ],
+    ids=str,
+)
 def test_a_window_that_slides_is_shown_with_the_events_that_it_holds(tmp_path, slides):
     """Here of several events at the time of its oldest one, only some are still in it."""
-    config = TNTConfig(sensor=(40, 30), grid=(40, 30), representation="count", **slides)
+    config = TNTConfig(sensor=(40, 30), grid=(40, 30), **slides)
     model = random_model(config)
     events = EVENTS[:600].copy()
     events["t"] = events["t"] // 2_000 * 2_000
