@@ -136,18 +136,28 @@ def _packets(events: np.ndarray) -> list[np.ndarray]:
     ]
 
 
+def _first_window(model: Model, events: np.ndarray) -> np.ndarray:
+    """The events of a recording's first window."""
+    in_window = events["t"] < events["t"][0] + model.config.window_us
+    window: np.ndarray = events[in_window][: model.config.window_events]
+    return window
+
+
+def _new_volume(model: Model) -> TNTVolume:
+    """A volume of the model, which knows no end of a window."""
+    if model.is_spiking:
+        return SpikingVolume(model)
+    regressor = CompiledRegressor(model) if model.config.needs_regressor else None
+    return TNTVolume(model.config, regressor=regressor)
+
+
 def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
     """Yield the nanoseconds that one event takes on its way into the volume, once for each round.
 
     A round pushes the first window of every recording. Opening a window is not timed.
     """
-    config = model.config
-    regressor = CompiledRegressor(model) if config.needs_regressor else None
-    volume = SpikingVolume(model) if model.is_spiking else TNTVolume(config, regressor=regressor)
-    windows = []
-    for events in recordings:
-        in_window = events["t"] < events["t"][0] + config.window_us
-        windows.append(_packets(events[in_window][: config.window_events]))
+    volume = _new_volume(model)
+    windows = [_packets(_first_window(model, events)) for events in recordings]
     n_events = sum(packet.size for window in windows for packet in window)
     for _ in range(ROUNDS):
         duration_s = 0.0
@@ -185,18 +195,22 @@ def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iter
 
 
 def _whole_pass_us(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
-    """Yield the microseconds of passes through the whole network, on each recording's window."""
+    """Yield the microseconds of passes through the whole network.
+
+    There are `N_PASSES` for each recording, on the volume of its first window.
+    """
     network = compiled_network_of(model)
-    processor: Processor[Any] = Processor(model)
+    # not a Processor's volume, which is that of the next window once the events are complete
+    volume = _new_volume(model)
     for events in recordings:
-        processor.reset()
-        in_window = events["t"] < events["t"][0] + model.config.window_us
-        processor.push(events[in_window][: model.config.window_events])
-        volume = processor.volume().copy()
-        volume.flags.writeable = False
+        window = _first_window(model, events)
+        volume.open(int(window["t"][0]))
+        volume.update(window)
+        array = volume.array.copy()
+        array.flags.writeable = False
         for _ in range(N_PASSES):
             started = time.perf_counter()
-            network(volume)
+            network(array)
             yield 1e6 * (time.perf_counter() - started)
 
 
@@ -208,7 +222,7 @@ def _spiking_report(model: Model, recordings: list[np.ndarray]) -> dict[str, Any
     n_events = 0
     for events in recordings:
         volume.open(int(events["t"][0]))
-        volume.update(events[events["t"] < events["t"][0] + model.config.window_us])
+        volume.update(_first_window(model, events))
         n_events += volume.n_events
         for layer in spikes:
             spikes[layer] += volume.spikes(layer)
@@ -268,10 +282,9 @@ def _cpu_name() -> str:
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             for line in file:
-                name, colon, value = line.partition(":")
                 # every core has the same fields, so one value of each is enough
-                if colon and ":" not in value:
-                    fields[name.strip()] = value.strip()
+                name, _, value = line.partition(":")
+                fields[name.strip()] = value.strip()
     except OSError:
         return platform.processor() or platform.machine()
     # Some virtual machines hide the name of the model ("Intel(R) Xeon(R) Processor"). The

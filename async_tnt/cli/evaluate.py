@@ -149,7 +149,7 @@ def main(args: argparse.Namespace) -> int:
     if model.places is not None:
         return evaluate_objects(args, model)
     if args.boxes != "all":
-        raise ValueError(f"{args.model} finds no objects, for which --boxes {args.boxes} is")
+        raise ValueError(f"--boxes {args.boxes} is for objects, and {args.model} finds none")
 
     pixels = model_pixels_of(pixels_of(args), model)
     recordings_of_class = labelled_recordings(args.dataset, model)

@@ -83,7 +83,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         )
     if args.boxes != "all" and not model.has_sizes:
         raise ValueError(
-            f"{args.model} says no sizes of objects, by which --boxes {args.boxes} leaves some out"
+            f"--boxes {args.boxes} leaves objects out by their sizes, and {args.model} says none"
         )
 
     tables = find_tables(args.dataset)

@@ -128,7 +128,7 @@ def model_of(name: str) -> Model:
 
     Raises
     ------
-    ValueError : it is an .onnx file, or a .nir graph that says not all.
+    ValueError : it is an .onnx file, or a .nir graph, which leaves open how neurons are reset.
     """
     refuse_graph(name)
     if Path(name).suffix.lower() == ".onnx":
@@ -431,7 +431,7 @@ def _value_words(name: str, value: Any) -> str:
     """The value of an option, as a user types it. A file is given by its name, without folders."""
     if isinstance(value, tuple):
         # a region is X,Y,W,H, a range of sizes is MIN-MAX, and any other tuple is WxH
-        separator = {"roi": ",", "size": "-"}.get(name, "x")
+        separator = {"roi": ",", "size": "-", "scales": "-"}.get(name, "x")
         value = separator.join(f"{part:g}" for part in value)
     values = value if isinstance(value, list) else [value]
     if name in ("network", "teacher"):

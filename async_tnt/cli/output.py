@@ -52,7 +52,8 @@ def can_print(text: str, stream: TextIO) -> bool:
 
 
 MUCH = 1 / 3
-"""The share of a whole pass that one event reaches, from which on nothing is gained by events."""
+"""If one event reaches a larger share of a whole pass, little is gained by deciding event by event.
+"""
 
 
 def reach_text(work: Work) -> str:

@@ -182,7 +182,7 @@ def _changed_config(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     # the flow can be removed only with the landmark `line`
     if changes.get("landmark", "line") != "line":
         changes.setdefault("remove_flow", False)
-    # of a window that slides, what it holds at the ends of stretches as long as it is
+    # a window that slides has no end; it is drawn at the ends of stretches as long as itself
     config = with_an_end(config)
     kind = changes.get("representation", config.representation)
     if kind in TIME_IMAGES:

@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Stream recordings through a model and print each decision: its time and window, the label and its
 probability, and the number of events. After each recording a line names the class of the highest
-mean probability over its closed windows. Of a model of raw outputs each line has the least and the
-largest number of each output.
+mean probability over its closed windows. For a model of raw outputs, each line has the least and
+the largest number of each output.
 
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms

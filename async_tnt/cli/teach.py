@@ -36,7 +36,7 @@ from async_tnt.volume.events import EVENT_DTYPE, as_events
 
 USAGE = "async-tnt teach MODEL --class NAME RECORDING... [--class ...] [--forget NAME] --out FILE"
 MOST_KEPT = 50
-"""The most recordings of a class from which windows that show nothing are made."""
+"""Windows that show none of the classes are made from at most so many recordings of each class."""
 
 DESCRIPTION = """\
 Teach a model a class that it has not seen, from a few recordings, in a second.
@@ -271,7 +271,8 @@ class _File:
     reader : reads its file.
     recording : the file, and the part of it.
     bar : counts what was read.
-    kept : the events of the first `MOST_KEPT` recordings of its class, which it adds its own to.
+    kept : the events of the first `MOST_KEPT` recordings of its class that were read. `read` adds
+        its own.
     """
 
     reader: _Reader

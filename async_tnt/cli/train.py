@@ -432,7 +432,7 @@ def _note_early_end(n_done: int, n_epochs: int) -> None:
     if n_done < n_epochs:
         note(
             f"ended after {n_done} of {n_epochs} epochs: all that is held out was right in the "
-            f"last {PATIENCE + COOLING}, and its loss fell no more; --epochs N makes N"
+            f"last {PATIENCE + COOLING}, and its loss fell no more; --epochs N always makes N"
         )
 
 

@@ -32,8 +32,9 @@ def box_overlap(
 ) -> torch.Tensor:
     """The area that two boxes share, divided by the area that they cover; 0 without areas.
 
-    Each box has a middle (x, y) and a size (width, height): float64, (..., 2). Of (N, 1, 2) and
-    (K, 2) the overlaps of all pairs are computed, (N, K).
+    Each box has a middle (x, y) and a size (width, height): float64, (..., 2). If the first boxes
+    have the shape (N, 1, 2) and the others (K, 2), the result, (N, K), has the overlaps of all
+    pairs.
 
     Example
     -------
@@ -82,10 +83,11 @@ def boxes_on_map(
     scale : the distances between neighbouring columns and rows: boxes overlap in these units.
     has_places : whether the map says where the middles of boxes are.
     """
-    n = 4 if has_places else 2
-    boxes = maps[-n:].double().clamp(-10, 10)
+    # the last of the n channels that are no classes belongs to the logits: "no object here"
+    n_numbers = 4 if has_places else 2
+    boxes = maps[-n_numbers:].double().clamp(-10, 10)
     places = boxes[2:] if has_places else None
-    objects = objects_on_map(maps[:-n], near, boxes[:2].exp(), places)
+    objects = objects_on_map(maps[:-n_numbers], near, boxes[:2].exp(), places)
     numbers = torch.tensor(objects, dtype=torch.float64).reshape(-1, len(FoundObject._fields))
     middle = numbers[:, 2:4] * _pairs([scale])
     size = numbers[:, 4:] * _pairs([scale])

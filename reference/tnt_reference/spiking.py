@@ -15,9 +15,10 @@ A neuron with a current i, cuba_lif or cuba_li, solves tau_syn di/dt = -i and
 tau_mem dv/dt = v_leak - v + r i for the time dt; then i <- i + (w_in dt_0 / tau_syn) s. A threshold
 is a neuron whose membrane is what arrives at this event alone.
 
-It has no spike up to its threshold. With the reset to a value it has one above. With the reset by
-subtraction it has as many as leave the membrane positive, and at most at its threshold:
-max(1, ceil(v / v_threshold) - 1), and one more where rounding leaves more than the threshold.
+A neuron has no spike while its membrane is at most its threshold. Above it, a neuron with the reset
+to a value has one spike. With the reset by subtraction it has the number of spikes that leaves the
+membrane above 0 and at most at the threshold: max(1, ceil(v / v_threshold) - 1), and one more where
+rounding leaves more than the threshold.
 
 The order of sums is a part of the definition, as they are rounded: what a linear layer reads is
 added in the order of row, column and channel, one number that is not zero after the other.

@@ -140,9 +140,12 @@ def test_conventions_need_sizes(recording, program):
     net = nn.Conv2d(2, 3, 1)
     Model.from_torch(nn.Sequential(net), loaded.config, loaded.classes).save(model)
     code, _, err = program("evaluate", model, folder, "--boxes", "gen1")
-    assert code == 2 and "says no sizes of objects, by which --boxes gen1 leaves some out" in err
+    assert (
+        code == 2
+        and f"--boxes gen1 leaves objects out by their sizes, and {model} says none" in err
+    )
     code, _, err = program("evaluate", "digits", folder, "--boxes", "1mpx")
-    assert code == 2 and "digits finds no objects, for which --boxes 1mpx is" in err
+    assert code == 2 and "--boxes 1mpx is for objects, and digits finds none" in err
 
 
 def test_a_recording_that_is_skipped_has_no_boxes(recording, program):

@@ -16,6 +16,7 @@ from held_memory import held
 from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
+from sources.files.ros_written import Bag
 from torch import nn
 
 from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
@@ -132,6 +133,7 @@ def test_counts_by_hand(folder, slow, program, write, name):
     assert report["f1_against_time_ms"] == {"10": early, "30": early, "50": 0.75}
     out = program("evaluate", slow, folder)[1]
     assert "F1 0.7500: 0.7500 of 4 objects found are right" in out
+    assert out.splitlines()[-1] == "no scores of boxes: the model says no sizes"
     rows = [line.split() for line in out.split("ms into the window")[1].splitlines()[1:4]]
     assert rows == [["10", "0.667"], ["30", "0.667"], ["50", "0.750"]]
     write_points(folder / "a_td_objects.csv", [(SLOW * 6000, "on", -1, 5)])
@@ -163,6 +165,14 @@ def test_recordings_are_read_by_the_options(folder, saved, program):
     code, out, _ = program(
         "evaluate", saved, folder, "--sensor", "64x40", "--columns", "xypt", "--json"
     )
+    assert code == 0 and json.loads(out) == expected
+    (folder / "a_td.csv").unlink()
+    with Bag(folder / "a_td.mcap") as bag:
+        bag.array(events_of(*np.array(sorted(EVENTS)).T), CONFIG.sensor, topic="/left")
+        bag.array(events_of([5], [1], [2], [1]), CONFIG.sensor, topic="/right")
+    code, _, err = program("evaluate", saved, folder)
+    assert code == 2 and "several topics have events" in err
+    code, out, _ = program("evaluate", saved, folder, "--topic", "/left", "--json")
     assert code == 0 and json.loads(out) == expected
 
 

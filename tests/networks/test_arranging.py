@@ -179,8 +179,20 @@ class LastNorm(nn.Module):
         return F.layer_norm(last(x), (4,)).permute(0, 3, 1, 2)
 
 
-def test_a_sum_of_a_stack():
-    body = Body(lambda m, h: torch.stack([h, m.other(h), h]).sum(dim=0)).eval()
+OF_TORCH = {
+    "a sum of a stack": lambda m, h: torch.stack([h, m.other(h), h]).sum(dim=0),
+    "the last of fewer chunks": lambda m, h: h.chunk(5, 1)[-1],
+    "splits beside empty ones": lambda m, h: h.split([0, 3, 5, 0], 1)[2],
+    "axes as a list": lambda m, h: torch.permute(
+        m.layer_norm(torch.permute(h, (0, 2, -1, 1))), (0, 3, -3, 2)
+    ),
+}
+"""More that is done with it, which torch exports in forms that are not read."""
+
+
+@pytest.mark.parametrize("name", OF_TORCH)
+def test_other_spellings_of_torch_compute_the_same(name):
+    body = Body(OF_TORCH[name]).eval()
     check_torch_layers(body, layers_from_torch(body, CONFIG.shape), CONFIG.shape)
 
 

@@ -192,6 +192,11 @@ def onnx_file(path, **changes):
         ),
         (
             onnx_file,
+            {"outputs": "[1]"},
+            "is damaged: metadata `outputs` must map names to layers, got '[1]'",
+        ),
+        (
+            onnx_file,
             {"classes": '["a", "b"]'},
             "is damaged: it names 2 classes, its network gives 3 logits",
         ),
@@ -201,6 +206,24 @@ def test_wrong_metadata(write, changes, message, files):
     path = write(files[0], **changes)
     with pytest.raises(ValueError, match=f"^{re.escape(f'{path} {message}')}"):
         (load_model if write is model_file else OnnxClassifier)(path)
+
+
+@pytest.mark.parametrize(
+    "layers, message",
+    [
+        (
+            [{"op": "mish", "name": "a", "inputs": ["volume"]}],
+            "holds a network that this release cannot run: layer 'a' is a 'mish'",
+        ),
+        ([{"op": "relu", "name": "a", "inputs": ["b"]}], DAMAGED + "layer 'a' (relu): "),
+        ([1], DAMAGED),
+    ],
+    ids=["unknown", "unfit", "no layer"],
+)
+def test_wrong_layers_in_an_onnx_file(layers, message, tmp_path):
+    path = onnx_file(tmp_path / "m.onnx", network=json.dumps(layers))
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} {message}')}"):
+        load_model(path)
 
 
 def test_files_of_other_programs_and_types(tmp_path):

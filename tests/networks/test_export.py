@@ -15,6 +15,7 @@ from networks.foreign import onnx
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
+from async_tnt.base.package import __version__
 from async_tnt.networks import to_onnx
 from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.onnx import export as onnx_export
@@ -40,6 +41,14 @@ def test_the_bytes_of_an_onnx_file_are_counted_exactly(monkeypatch):
     monkeypatch.setattr(onnx_export, "MAX_BYTES", n_bytes)
     with pytest.raises(ValueError, match=f"the classifier's weights are {n_bytes:_} bytes$"):
         to_onnx(random_model())
+
+
+def test_a_file_is_of_the_version_that_programs_read():
+    """That of ONNX 1.8."""
+    proto = to_onnx(random_model())
+    assert proto.ir_version == 7
+    assert [(entry.domain, entry.version) for entry in proto.opset_import] == [("", 13)]
+    assert (proto.producer_name, proto.producer_version) == ("async_tnt", __version__)
 
 
 @pytest.mark.parametrize(

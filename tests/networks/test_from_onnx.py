@@ -214,6 +214,109 @@ REFUSED = [  # nodes, constants, message, opset
         13,
     ),
     ([node("Flatten")], {}, "the network must be of opset 7 or later, got [6]", 6),
+    (
+        [node("ConstantOfShape", "size", "y"), node("Add", "x y", "z")],
+        {"size": np.int64([5000])},
+        "(ConstantOfShape): a ConstantOfShape of large constants has no compiled form",
+        13,
+    ),
+    (
+        [node("Concat", "row row", "y", axis=0), node("Add", "x y", "z")],
+        {"row": np.zeros(3000, np.float32)},
+        "(Concat): a Concat of large constants has no compiled form",
+        13,
+    ),
+    (
+        [node("Constant", "", "y", value_float=1.0), node("Add", "x y", "z")],
+        {},
+        "(Constant): a constant without `value` has no compiled form",
+        13,
+    ),
+    (
+        [node("Sum", "x x half")],
+        {"half": HALF},
+        "(Sum): a sum other than of one map and a constant, or of maps, has no compiled form",
+        13,
+    ),
+    (
+        [node("Conv", "x w", auto_pad="SAME_UPPER", strides=[2, 2])],
+        {"w": KERNEL},
+        "(Conv): auto_pad SAME_UPPER with a stride of [2, 2] has no compiled form",
+        13,
+    ),
+    *(
+        (
+            [node("ConvTranspose", "x w", **attributes)],
+            {"w": np.ones((2, 1, 2, 2), np.float32)},
+            f"(ConvTranspose): {message} has no compiled form",
+            13,
+        )
+        for attributes, message in (
+            ({"auto_pad": "SAME_UPPER"}, "auto_pad SAME_UPPER"),
+            ({"output_shape": [7, 6]}, "output_shape"),
+        )
+    ),
+    (
+        [node("MaxPool", kernel_shape=[2, 2], dilations=[2, 1])],
+        {},
+        "(MaxPool): dilation has no compiled form",
+        13,
+    ),
+    *(
+        (
+            [node("Resize", "x - scales", mode=mode)],
+            {"scales": np.float32([1, 1, *factors])},
+            f"(Resize): {message} has no compiled form",
+            13,
+        )
+        for mode, factors, message in (
+            ("cubic", (2, 2), "mode cubic"),
+            ("nearest", (2, 3), "a Resize by [2.0, 3.0], not by one whole number,"),
+            ("nearest", (1.5, 1.5), "a Resize by [1.5, 1.5], not by one whole number,"),
+        )
+    ),
+    (
+        [node("Pad", "x pads one")],
+        {"pads": np.int64([0, 0, 1, 1, 0, 0, 1, 1]), "one": np.float32(1)},
+        "(Pad): a padding of the value 1.0 has no compiled form",
+        13,
+    ),
+    (
+        [node("Pad", pads=[0, 0, 1, 1, 0, 0, 1, 1], value=1.0)],
+        {},
+        "(Pad): a padding of the value 1.0 has no compiled form",
+        10,
+    ),
+    (
+        [node("Pad", "x pads - axes")],
+        {"pads": np.int64([1, 1]), "axes": np.int64([2])},
+        "(Pad): a padding of some axes has no compiled form",
+        18,
+    ),
+    (
+        [node("Reshape", "x rows", "r"), node("Reshape", "r whole")],
+        {"rows": np.int64([1, 2, -1]), "whole": np.int64([1, 2, 6, 5])},
+        "(Reshape): a reshape of groups to [1, 2, 6, 5] has no compiled form",
+        13,
+    ),
+    (
+        [node("Reshape", "x rows", "r"), node("InstanceNormalization", "r twice twice")],
+        {"rows": np.int64([1, 2, -1]), "twice": 2 * ONES},
+        "(InstanceNormalization): an InstanceNormalization of groups with weights of its own has",
+        13,
+    ),
+    (
+        [node("LayerNormalization", "x w")],
+        {"w": np.ones(5, np.float32)},
+        "(LayerNormalization): a LayerNormalization over other than channels as last axis has",
+        17,
+    ),
+    (
+        [node("Flatten", "x", "f"), node("Softmax", "f", axis=0)],
+        {},
+        "(Softmax): a softmax over axis 0, not over the classes (1), has no compiled form",
+        13,
+    ),
 ]
 
 
@@ -393,6 +496,108 @@ ACCEPTED = {
         1,
     ),
 }
+
+
+def upsampled():
+    """An upsampling by two as it was written before opset 9."""
+    return node("Upsample", "x", "m", scales=[1.0, 1.0, 2.0, 2.0])
+
+
+DEFAULTS = {  # the nodes from x to m, and their opset
+    "a Slice of the first axes": ([node("Slice", "x starts ends", "m")], 10),
+    "a Slice of the first axes, of attributes": (
+        [node("Slice", "x", "m", starts=[0, 1], ends=[1, 2])],
+        9,
+    ),
+    "a Split into equal parts": (
+        [node("Split", "x", "a b", axis=1), node("Sub", "a b", "m")],
+        11,
+    ),
+    "a Split whose last part is smaller": (
+        [
+            node("Gather", "x three", "p", axis=1),
+            node("Split", "p", "m b", axis=1, num_outputs=2),
+        ],
+        18,
+    ),
+    "a sum that keeps its axis": ([node("ReduceSum", "x channels", "m")], 13),
+    "an Upsample with an attribute": ([upsampled()], 7),
+    "a part of a shape": (
+        [
+            node("Shape", "x", "n", start=-2, end=-1),
+            node("Shape", "x", "first", end=2),
+            node("Shape", "x", "last", start=3),
+            node("Concat", "first n last", "s", axis=0),
+            node("Reshape", "x s", "m"),
+        ],
+        15,
+    ),
+    "a MaxPool that is rounded up": (
+        [node("MaxPool", "x", "m", kernel_shape=[3, 3], strides=[2, 2], ceil_mode=1)],
+        13,
+    ),
+    "an AveragePool that is rounded up": (
+        [
+            node(
+                "AveragePool",
+                "x",
+                "m",
+                kernel_shape=[3, 3],
+                strides=[2, 2],
+                pads=[1] * 4,
+                ceil_mode=1,
+            )
+        ],
+        13,
+    ),
+    "a ConvTranspose without padding": (
+        [node("ConvTranspose", "x t", "m", auto_pad="VALID", strides=[2, 2])],
+        13,
+    ),
+    "a constant that a Dropout passes on": (
+        [node("Dropout", "one", "o"), node("Add", "x o", "m")],
+        13,
+    ),
+}
+"""What nodes leave out, and forms that are seldom written."""
+
+
+@pytest.mark.parametrize("nodes, opset", DEFAULTS.values(), ids=DEFAULTS)
+def test_forms_that_are_seldom_written_are_read(tmp_path, nodes, opset):
+    """`load_model` also compares the network with onnxruntime."""
+    constants = {
+        "starts": np.int64([0, 1]),
+        "ends": np.int64([1, 2]),
+        "three": np.int64([0, 1, 1]),
+        "channels": np.int64([1]),
+        "t": np.arange(24, dtype=np.float32).reshape(2, 3, 2, 2),
+        "one": np.float32(1),
+    }
+    nodes = [*nodes, node("GlobalAveragePool", "m", "g"), node("Flatten", "g")]
+    path = write_onnx(tmp_path / "m.onnx", nodes, constants, opset=opset)
+    assert len(load_for_numbers(path, SMALL).classes) in (1, 2, 3)
+
+
+def test_a_file_that_takes_other_than_one_volume_of_floats_is_refused(tmp_path):
+    two = network(
+        [node("Add", "x z", "a"), node("Flatten", "a")],
+        inputs=[("x", (1, 2, 6, 5)), ("z", (1, 2, 6, 5))],
+        outputs=[("y", ("a", "b"))],
+    )
+    whole = network(
+        [node("Flatten")],
+        inputs=[("x", (1, 2, 6, 5))],
+        outputs=[("y", ("a", "b"))],
+        dtype=onnx.TensorProto.INT64,
+    )
+    path = tmp_path / "m.onnx"
+    for content, message in (
+        (two, "the network must have one input, got 2"),
+        (whole, "the network's input must be floating point, got type 7 of ONNX"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(NotImplementedError, match=f"^{re.escape(f'{path}: {message}')}"):
+            load_model(path, config=SMALL)
 
 
 def test_limits_of_0_that_are_attributes_are_read(tmp_path):

@@ -215,7 +215,18 @@ def views_that_nobody_reads_later(m, x):
     return before + after
 
 
-@pytest.mark.parametrize("body", [of_one_tensor, views_that_nobody_reads_later])
+def by_operators(m, x):
+    """Each changes the tensor of which `before` is another name."""
+    h = m.conv(x)
+    before = h
+    h += 0.5
+    h -= 0.25
+    h *= 3
+    h /= 2
+    return m.logits(h + before)
+
+
+@pytest.mark.parametrize("body", [of_one_tensor, by_operators, views_that_nobody_reads_later])
 def test_changes_in_place_that_no_view_shares_are_read(body):
     module = Written(body)
     found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
@@ -332,6 +343,24 @@ def of_body(body):
     return lambda: Written(body)
 
 
+def stochastic_depth(x, p, mode, training=True):
+    """Torchvision's function by its name, which is all that is known of it here."""
+    return x
+
+
+stochastic_depth.__module__ = "torchvision.ops.stochastic_depth"
+torch.fx.wrap("stochastic_depth")
+
+
+def test_a_stochastic_depth_is_left_out_in_evaluation():
+    module = Written(lambda m, x: m.logits(stochastic_depth(m.conv(x), 0.5, "row", m.training)))
+    layers = [layer["op"] for layer in model_of(module).network["classifier"]]
+    assert layers == ["conv", "conv", "global_average_pool", "flatten"]
+    trained = Written(lambda m, x: m.logits(stochastic_depth(m.conv(x), 0.5, "row")))
+    with pytest.raises(NotImplementedError, match="a dropout in training mode, also in evaluatio"):
+        model_of(trained)
+
+
 HIDDEN = [counts_its_calls]
 OTHER_NUMBERS = "the module cannot be read as layers: its layers compute other numbers (by "
 FORM = "has no compiled form"
@@ -402,6 +431,78 @@ REFUSED = [  # what makes it, the beginning of the message
         lambda: torch.jit.trace(nn.Conv2d(3, 4, 3), torch.zeros(1, 3, 18, 20)),
         "the module is compiled by torch.jit",
     ),
+    (
+        of_layer(nn.Conv2d(3, 4, 3, padding=1, padding_mode="reflect")),
+        f"layer '0' (Conv2d): padding_mode 'reflect' {FORM}",
+    ),
+    (of_layer(nn.Upsample(scale_factor=2, mode="bicubic")), "layer '0' (Upsample): mode 'bicubic'"),
+    (
+        of_layer(nn.Upsample(scale_factor=(2, 3))),
+        "layer '0' (Upsample): an upsampling by [2.0, 3.0], not by one whole number",
+    ),
+    (
+        of_layer(nn.Upsample(size=(20, 20))),
+        "layer '0' (Upsample): an upsampling by [1.1111111111111112, 1.0], not by one whole",
+    ),
+    (
+        of_body(lambda m, x: F.interpolate(x, scale_factor=2, mode="bilinear", antialias=True)),
+        f"operation 'interpolate' (interpolate): antialias {FORM}",
+    ),
+    (
+        of_body(lambda m, x: F.pad(x, (1, 1, 1, 1), value=1.0)),
+        f"operation 'pad' (pad): mode 'constant' with the value 1.0 {FORM}",
+    ),
+    (
+        of_body(lambda m, x: F.pad(x, (1, 1, 1, 1), "reflect")),
+        f"operation 'pad' (pad): mode 'reflect' with the value None {FORM}",
+    ),
+    (of_body(lambda m, x: F.pad(x, (1, -1, 0, 0))), "operation 'pad' (pad): a padding of [1, -1,"),
+    (
+        of_layer(nn.ConstantPad2d(1, 0.5)),
+        f"layer '0' (ConstantPad2d): a padding of (1, 1, 1, 1) with a value {FORM}",
+    ),
+    (of_layer(nn.ZeroPad2d(-1)), "layer '0' (ZeroPad2d): a padding of (-1, -1, -1, -1) with a"),
+    (of_layer(nn.MaxPool2d(2, dilation=2)), f"layer '0' (MaxPool2d): dilation {FORM}"),
+    (
+        of_layer(nn.MaxPool2d(2, return_indices=True)),
+        f"layer '0' (MaxPool2d): return_indices {FORM}",
+    ),
+    (
+        of_body(lambda m, x: m.logits(F.dropout(m.conv(x)))),
+        f"operation 'dropout' (dropout): a dropout in training mode, also in evaluation, {FORM}",
+    ),
+    (
+        of_body(lambda m, x: F.batch_norm(x, None, None, training=True)),
+        "operation 'batch_norm' (batch_norm): a batch norm that does not use running statistics",
+    ),
+    (
+        of_layer(nn.InstanceNorm2d(3, track_running_stats=True)),
+        f"layer '0' (InstanceNorm2d): an instance norm with running statistics {FORM}",
+    ),
+    (
+        of_body(lambda m, x: x.sub(m.conv(x), alpha=2)),
+        f"operation 'sub' (sub): a factor alpha {FORM}",
+    ),
+    (
+        of_body(lambda m, x: torch.div(x, 2, rounding_mode="floor")),
+        "operation 'div' (div): a quotient other than a map by a constant",
+    ),
+    (
+        of_body(lambda m, x: x.clamp(min=m.scales)),
+        f"operation 'clamp' (clamp): a limit that is no number {FORM}",
+    ),
+    (
+        of_body(lambda m, x: torch.cat([x, x], 2)),
+        f"operation 'cat' (cat): a concatenation along axis 2, not of channels (1), {FORM}",
+    ),
+    (
+        of_body(lambda m, x: x.flatten(2)),
+        f"operation 'flatten' (flatten): a flatten from axis 2 to -1, not from 1 to -1, {FORM}",
+    ),
+    (
+        of_body(lambda m, x: x.mean((1, 2))),
+        f"operation 'mean' (mean): a mean over [1, 2], not over all places (2, 3), {FORM}",
+    ),
 ]
 
 
@@ -460,6 +561,30 @@ def test_weights_of_both_networks_are_kept_apart():
     assert np.abs(found - logits_of(decides)).max() <= 1e-5
     landmarks = [CompiledRegressor(model)(volume) for volume in VOLUMES]
     np.testing.assert_allclose(landmarks, logits_of(finds), atol=1e-4)
+
+
+def test_networks_of_layers_whose_weights_have_the_same_names_are_kept_apart():
+    modules = nn.Sequential(Part()), finder()
+    names = {}
+    parts = []
+    for module in modules:
+        read = layers_from_torch(module, CONFIG.shape)
+        weights = {f"w{k}": values for k, values in enumerate(read.weights.values())}
+        names = dict(zip(read.weights, weights, strict=True))
+        layers = [
+            {**layer, "weights": {role: names[name] for role, name in layer["weights"].items()}}
+            if "weights" in layer
+            else layer
+            for layer in read.layers
+        ]
+        parts.append(LayerNetwork(layers, weights))
+    decides, finds = parts
+    model = Model.from_torch(decides, WITH_LANDMARK, list("abcd"), regressor=finds)
+    assert len(model.weights) == 4
+    found = [CompiledClassifier(model)(volume) for volume in VOLUMES]
+    assert np.abs(found - logits_of(modules[0])).max() <= 1e-5
+    landmarks = [CompiledRegressor(model)(volume) for volume in VOLUMES]
+    np.testing.assert_allclose(landmarks, logits_of(modules[1]), atol=1e-4)
 
 
 class Forgets(nn.Module):

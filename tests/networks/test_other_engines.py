@@ -121,6 +121,8 @@ def test_sides_left_open_need_a_shape():
             (3, 6, 5),
             r"`shape` must fit the network's input \(1, 2, height, width\), got \(3, 6, 5\)",
         ),
+        ((6, 5), r"`shape` must be \(C, H, W\), got \(6, 5\)"),
+        ((2, 0, 5), r"`shape` must be at least 1, got 0"),
         ((2, 1 << 20, 1 << 20), r"must have at most 268_435_456 cells"),
         ((2, 1 << 14, (1 << 13) + 1), r"must have at most 268_435_456 cells"),  # of both channels
     ]:

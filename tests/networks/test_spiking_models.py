@@ -85,6 +85,14 @@ def leaky(**values):
     return layer("lif", "out", "fc", LEAKY | values, reset="value", dt=1e-3)
 
 
+CURRENT = {"tau_mem": [1.0] * 2, "tau_syn": [1.0] * 2, "w_in": [1.0] * 2}
+WITH_CURRENT = CURRENT | {role: LEAKY[role] for role in ("r", "v_leak", "v_threshold")}
+
+
+def with_current(**values):
+    return layer("cuba_lif", "out", "fc", WITH_CURRENT | values, reset="value", dt=1e-3)
+
+
 @pytest.mark.parametrize(
     "make, message",
     [
@@ -95,6 +103,9 @@ def leaky(**values):
         (lambda: integrate("never"), "`reset` must be one of subtract, value, got 'never'"),
         (lambda: leaky(tau=[0.0, 1.0]), "tau must be positive, got 0"),
         (lambda: leaky(v_leak=[2.0, 0.0]), "v_leak must not be above v_threshold"),
+        (lambda: with_current(tau_mem=[1.0, -1.0]), "tau_mem must be positive, got -1"),
+        (lambda: with_current(tau_syn=[0.0, 1.0]), "tau_syn must be positive, got 0"),
+        (lambda: with_current(v_leak=[0.0, 2.0]), "v_leak must not be above v_threshold"),
         (lambda: leaky(r=[1.0] * 3), "its r must have shape (2,) here, got (3,)"),
         (
             lambda: layer("lif", "out", "fc", LEAKY, reset="value", dt=0.0),
@@ -109,6 +120,66 @@ def leaky(**values):
 def test_neurons_without_a_meaning_are_refused(make, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         dense_model(make())
+
+
+def test_a_neuron_may_be_reset_to_its_threshold_and_rest_there():
+    """As it fires above the threshold only."""
+    model = dense_model(integrate("value", v_reset=[1.0, -1.0]))
+    assert model.weights["out.v_reset"].tolist() == [1.0, -1.0]
+    assert dense_model(leaky(v_leak=[1.0, 0.0])).is_spiking
+
+
+FLAT = layer("flatten", "flat", "volume")
+DENSE = layer("dense", "fc", "flat", {"weight": np.ones((2, 24))})
+
+
+@pytest.mark.parametrize(
+    "layers, message",
+    [
+        (
+            [FLAT, DENSE, layer("threshold", "t", "fc", {"threshold": [0.5, -0.5]})],
+            "layer 't' (threshold): threshold must not be negative, as it would fire without",
+        ),
+        (
+            [
+                FLAT,
+                DENSE,
+                layer("li", "li", "fc", {r: LEAKY[r] for r in ("tau", "r", "v_leak")}, dt=1e-3),
+                layer("scale", "t", "li", {"scale": [1.0] * 2}),
+            ],
+            "layer 'li' (li) must be the last one, as it never fires",
+        ),
+        (
+            [
+                layer("pick", "swapped", "volume", channels=[1, 0]),
+                layer("scale", "scaled", "volume", {"scale": [1.0] * 2}),
+                (
+                    {"op": "add", "name": "t", "inputs": ["swapped", "scaled"]},
+                    {},
+                ),
+            ],
+            "layer 'swapped' (pick) must be the only one that reads the events",
+        ),
+        (
+            [layer("pick", "t", "volume", channels=[0, 0])],
+            "layer 't' (pick): it must read the events, and exchange or keep their channels [0, 1]",
+        ),
+        (
+            [
+                layer("scale", "scaled", "volume", {"scale": [1.0] * 2}),
+                layer("pick", "t", "scaled", channels=[1, 0]),
+            ],
+            "layer 't' (pick): it must read the events, and exchange or keep their channels [0, 1]",
+        ),
+    ],
+)
+def test_layers_without_a_meaning_at_an_event_are_refused(layers, message):
+    neurons = layer("if", "out", "t", {"r": [1.0] * 2, "v_threshold": [1.0] * 2}, reset="value")
+    *_, (last, _) = layers
+    is_map = last["op"] in ("pick", "add")
+    ends = [layer("flatten", "flat", "t"), DENSE, integrate("value")] if is_map else [neurons]
+    with pytest.raises(ValueError, match=re.escape(message)):
+        model_of(*layers, *ends)
 
 
 def test_other_layers_without_a_meaning_are_refused():
@@ -132,6 +203,13 @@ def test_other_layers_without_a_meaning_are_refused():
         replace(base, config=base.config.replace(window_events=100, window_us=None))
     with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
         replace(base, config=TNTConfig(sensor=(4, 3), grid=(4, 3), bins=2, transform="none"))
+    with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
+        replace(base, config=base.config.replace(sensor=(8, 6)))
+    with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
+        replace(base, config=base.config.replace(representation="mean_time"))
+    one_channel = base.weights | {"fc.weight": base.weights["fc.weight"][:, :12]}
+    with pytest.raises(ValueError, match="a spiking network reads the events of a sensor"):
+        replace(base, config=base.config.replace(polarity="unsigned"), weights=one_channel)
     with pytest.raises(ValueError, match="the outputs of this spiking network must be spike"):
         replace(base, classes=(), outputs={"out": "out"})
     with pytest.raises(ValueError, match="the network must compute 3 logits"):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 import numpy as np
 import pytest
 from made import random_model
 
-from async_tnt import Processor, TNTConfig, load_model
+from async_tnt import Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.cli import bench
 from async_tnt.kernels.shipped import state_of_kernels
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -45,6 +46,8 @@ def test_the_report_has_machine_model_and_every_figure(program):
         "classes": 10,
         "outputs": 0,
     }
+    work = load_model("digits").work_of_one_event
+    assert report["multiplications"] == {"one_event": work.touched, "whole_pass": work.whole}
     text = program("bench")[1]
     assert (
         "model digits: 34 x 34 pixels, landmark running; bundled samples" in text
@@ -100,6 +103,29 @@ def test_nanoseconds_of_an_event_in_the_first_windows(a_tick_a_look):
         assert measured == pytest.approx([10 * 1e6 / n_events] * bench.ROUNDS)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"window_events": 500}, {"representation": "count", "last_us": 50_000}],
+    ids=str,
+)
+def test_whole_passes_are_on_the_complete_first_window_of_each_recording(
+    settings, a_tick_a_look, monkeypatch
+):
+    config = TNTConfig(**settings)
+    passed = []
+    monkeypatch.setattr(bench, "compiled_network_of", lambda model: passed.append)
+    measured = list(bench._whole_pass_us(random_model(config, widths=(4, 6, 8)), SAMPLES[:2]))
+    assert measured == pytest.approx([1000.0] * 2 * bench.N_PASSES)
+    for k, volume in enumerate(passed):
+        events = SAMPLES[k // bench.N_PASSES]
+        expected = TNTVolume(config)
+        expected.open(int(events["t"][0]))
+        since = events["t"] - events["t"][0]
+        expected.update(events[since < config.window_us][: settings.get("window_events")])
+        assert expected.array.any() and not volume.flags.writeable
+        np.testing.assert_array_equal(volume, expected.array)
+
+
 @pytest.mark.parametrize("n_new", bench.NEW_EVENTS)
 def test_a_decision_is_timed_so_many_events_after_another(n_new, a_tick_a_look, monkeypatch):
     between = []
@@ -136,8 +162,15 @@ def test_figures_stand_in_their_rows(monkeypatch, program):
     monkeypatch.setattr(bench, "_volume_ns", lambda *_: values)
     monkeypatch.setattr(bench, "_decision_us", lambda *given: [n * given[2] for n in values])
     monkeypatch.setattr(bench, "_whole_pass_us", lambda *_: [10.0 * n for n in values])
-    monkeypatch.setattr(bench, "_decisions_a_second", lambda *_: [7.0 * n for n in values])
+    taken = []
+
+    def decisions_a_second(model, recordings):
+        taken.extend(map(len, recordings))
+        return [7.0 * n for n in values]
+
+    monkeypatch.setattr(bench, "_decisions_a_second", decisions_a_second)
     report = json.loads(program("bench", "--json")[1])
+    assert taken == [bench.N_EVENTS] * 10
     assert report["kernels"] == state_of_kernels()
     assert report["ns_an_event"] == {"median": 3, "q1": 2, "q3": 4, "n": 5}
     assert report["us_a_decision"]["100"] == {"median": 300, "q1": 200, "q3": 400, "n": 5}
@@ -153,3 +186,38 @@ def test_figures_stand_in_their_rows(monkeypatch, program):
         "us a pass through the whole network 30.0 20.0 to 40.0",
         "decisions a second, one after every event 21.0 14.0 to 28.0",
     ]
+
+
+CPUINFO = """\
+processor\t: 0
+cpu family\t: 6
+model\t\t: 85
+model name\t: Some(R) Processor @ 2.50GHz
+power management:
+
+processor\t: 1
+cpu family\t: 6
+model\t\t: 85
+model name\t: Some(R) Processor @ 2.50GHz
+"""
+
+
+def test_the_machine_is_named_with_its_load(monkeypatch, program):
+    """By family and model, too, as some virtual machines hide the processor's name."""
+    for name in ("_volume_ns", "_decision_us", "_whole_pass_us", "_decisions_a_second"):
+        monkeypatch.setattr(bench, name, lambda *_: [1.0])
+    monkeypatch.setattr(bench, "open", lambda *_, **__: io.StringIO(CPUINFO), raising=False)
+    monkeypatch.setattr(bench.os, "getloadavg", lambda: (1.256, 2.0, 3.0), raising=False)
+    monkeypatch.setattr(bench.os, "cpu_count", lambda: 7)
+    cpu = "Some(R) Processor @ 2.50GHz (family 6, model 85)"
+    facts = json.loads(program("bench", "--json")[1])["machine"]
+    assert (facts["cpu"], facts["cores"], facts["load_1min"]) == (cpu, 7, 1.26)
+    first = program("bench")[1].splitlines()[0]
+    assert first.startswith(f"{cpu}, 7 cores, load 1.26; python {facts['python']}, async_tnt ")
+
+    def missing(*_, **__):
+        raise FileNotFoundError
+
+    monkeypatch.setattr(bench, "open", missing, raising=False)
+    monkeypatch.setattr(bench.platform, "processor", lambda: "of another system")
+    assert bench.machine()["cpu"] == "of another system"

@@ -214,3 +214,32 @@ def test_a_model_of_windows_by_number_and_its_map(program, tmp_path):
     height, width = load_model(wide).logits_shape[1:]
     assert height < width
     assert f"objects, at {width}x{height} places of the sensor\n" in program("info", wide)[1]
+
+
+@pytest.mark.parametrize(
+    ("window", "length"),
+    [
+        ({"last_events": 1_500}, "the last 1,500 events"),
+        ({"last_us": 40_000}, "the last 40,000 us"),
+    ],
+    ids=str,
+)
+def test_a_window_that_slides_is_told_by_its_length(program, tmp_path, window, length):
+    model = random_model(TNTConfig(representation="count", **window))
+    text = program("info", model.save(tmp_path / "m.safetensors"))[1]
+    assert f"windows of {length}\n" in text
+    # what is told there is not repeated, and settings that are off are not told
+    (volume,) = [line for line in text.splitlines() if line.startswith("  volume")]
+    assert "window" not in volume and "last_" not in volume
+    assert "remove_flow" not in volume and "representation count" in volume
+
+
+@pytest.mark.parametrize("name", ["digits", "digits-everywhere"])
+def test_what_an_event_costs_and_where_it_decides_as_json(program, name):
+    report = json.loads(program("info", name, "--json")[1])
+    model = load_model(name)
+    work = model.work_of_one_event
+    assert report["multiplications"] == model.multiplications
+    assert report["multiplications_of_one_event"] == work.touched < work.whole
+    assert report["map"] == (None if model.places is None else list(model.logits_shape[1:]))
+    assert report["weights"] == sum(weights.size for weights in model.weights.values())

@@ -38,8 +38,14 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     ]
     assert f"listening at udp://127.0.0.1:{port}" in err
     assert f"{len(EVENTS):,} events (0 malformed" in err
-    n_decided = processor.counts.dropped_decided
-    assert f", {n_decided:,} after it was decided" in err
+    counts = processor.counts
+    n_decided = counts.dropped_decided
+    n_moved_off = counts.dropped_outside + counts.dropped_tau_zero
+    assert counts.dropped_outside > 0 < counts.dropped_tau_zero
+    assert (
+        f"; {counts.kept:,} kept, {n_moved_off:,} moved off the grid by the transform, "
+        f"0 too late for their window, {n_decided:,} after it was decided\n"
+    ) in err
     assert (n_decided > 1000) == ("--confidence" in options)
     assert ("left out: 0 outside of the region" in err) == ("--roi" in options)
     keeps_up = "--keep-up" in options

@@ -2,13 +2,14 @@
 it."""
 
 import argparse
+import gc
 import signal
 import sys
 import threading
 
 import pytest
 
-from async_tnt.cli import options
+from async_tnt.cli import main, options, run
 from async_tnt.sources.files.recording import sample_recordings
 
 SAMPLE = sample_recordings()[3]
@@ -91,3 +92,29 @@ def test_a_command_runs_in_a_thread_where_signals_cannot_be_handled(program):
     thread.join()
     ((code, printed, err),) = codes
     assert (code, err) == (0, "") and "3.bin: 3 " in printed
+
+
+def test_garbage_is_collected_again_after_bad_usage():
+    assert gc.isenabled()
+    with pytest.raises(SystemExit):
+        main(["fly"])
+    assert gc.isenabled()
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_errors_that_python_drops_reach_the_hook_of_the_caller(error, program, monkeypatch):
+    """Without a signal, also a KeyboardInterrupt is not ours."""
+    dropped = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda given: dropped.append(given.exc_type))
+
+    class Fails:
+        def __del__(self):
+            raise error
+
+    def drop(args):
+        Fails()
+        return 0
+
+    monkeypatch.setattr(run, "main", drop)
+    assert program("run", SAMPLE) == (0, "", "")
+    assert dropped == [error]

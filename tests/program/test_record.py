@@ -269,6 +269,8 @@ MINUTE_US = 60_000_000
         # out of order within the first packet
         ([50 * MINUTE_US, 50 * MINUTE_US - 7, 50 * MINUTE_US + 1], 1),
         ([0, 1 << 40, 3, 4], 3),
+        # back by the longest step, within a packet
+        ([(1 << 31) - 1, 0, 1], 1),
         # the step counts from the previous event, not from the newest
         ([1_005, 5, 5 + (1 << 31)], 2),
     ],

@@ -8,7 +8,9 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import Processor, TNTConfig, load_model
+from async_tnt.cli.output import DecisionLines
 from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
+from async_tnt.streaming.decision import Decision, Object
 
 SAMPLES = sample_recordings()
 
@@ -109,6 +111,36 @@ def test_a_line_has_the_numbers_of_its_decision(program):
     assert f"7 (mean probability {mean[7]:.3f} of {len(ends)} windows)" in summary
 
 
+@pytest.mark.parametrize("has_size", [True, False])
+def test_a_line_names_the_objects_of_a_map_model_by_hand(has_size, capsys):
+    """Each with its number, its place, and its box if the model says sizes."""
+    sizes = [(21.4, 9.6), (5.0, 30.0)] if has_size else [(None, None)] * 2
+    objects = (
+        Object("cup", 1, 0.75, 120.6, 33.2, 7, *sizes[0]),
+        Object("ball", 0, 0.5, 4.0, 80.0, 2, *sizes[1]),
+    )
+    numbers = np.zeros((0, 3)), np.zeros((3, 2, 2), np.float32)
+    lines = DecisionLines(as_json=False, with_latency=False)
+    for found, label in ((objects, "cup"), ((), None)):
+        index = 1 if found else -1
+        decision = Decision(label, index, *numbers, 500, 20_500, 9, False, "every_us", found)
+        lines.print("folder/a.npz", decision, 1.0)
+    first, second = (line.split(maxsplit=6) for line in capsys.readouterr().out.splitlines())
+    start = ["a.npz", "20.500", "0.500+20.000"]
+    places = ["121, 33, 21 x 10", "4, 80, 5 x 30"] if has_size else ["121, 33", "4, 80"]
+    assert first[:6] == [*start, "cup", "0.750", "9"]
+    assert first[6] == f"every_us  7: cup ({places[0]})  2: ball ({places[1]})"
+    assert second == [*start, "-", "0.000", "9", "every_us"]
+
+
+def test_a_recording_of_objects_has_no_class(program):
+    """Its probabilities are of objects, and not of windows."""
+    code, printed, err = program("run", SAMPLES[7], "--model", "digits-everywhere")
+    assert (code, err) == (0, "")
+    _, *rows = printed.splitlines()
+    assert len(rows) > 1 and all(row.startswith("7.bin  ") for row in rows)
+
+
 def test_the_latency_is_a_column(program):
     _, plain, _ = program("run", SAMPLES[7])
     _, timed, _ = program("run", SAMPLES[7], "--latency")
@@ -202,6 +234,12 @@ def test_late_events_are_reported(program):
     n = len(open_recording(SAMPLES[5]).read())
     message = program("run", "--start-us", "200000", SAMPLES[5])[2]
     assert f" of {n} events were too late and dropped (see --start-us)\n" in message
+
+
+def test_a_recording_that_ends_before_the_start_has_no_event_in_any_window(program):
+    code, printed, err = program("run", "--start-us", 10**9, "--json", SAMPLES[5])
+    assert (code, printed) == (2, "")
+    assert err.splitlines()[-1] == f"async-tnt: {SAMPLES[5]}: no event in any window"
 
 
 def test_events_older_than_the_newest_one_are_used(program, tmp_path):

@@ -1,6 +1,9 @@
 """async-tnt run --teach: classes are taught by a stream that goes on."""
 
+import io
 import json
+import sys
+import threading
 from dataclasses import replace
 from queue import SimpleQueue
 
@@ -134,3 +137,16 @@ def test_names_are_read_from_a_terminal_only(program, base, tmp_path):
     )
     assert code == 2
     assert "--teach reads names from a terminal, and stdin is none" in err
+
+
+def test_a_typed_line_is_a_name_and_an_empty_one_is_none(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stdin", Terminal("wave\n\n  two words \n \nend"))
+    names = live_lessons.typed_names()
+    for thread in threading.enumerate():
+        if thread.name == "async-tnt names":
+            thread.join()
+    assert [names.get_nowait() for _ in range(names.qsize())] == ["wave", "two words", "end"]

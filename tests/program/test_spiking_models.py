@@ -51,6 +51,7 @@ def test_bench_counts_spikes_and_additions(program, model):
     report = json.loads(text)
     volume = SpikingVolume(MODEL)
     spikes = dict.fromkeys(volume.network.layers, 0)
+    additions = dict.fromkeys(volume.network.layers, 0)
     n_events = 0
     for path in sample_recordings().values():
         events = open_recording(path).read()
@@ -59,11 +60,17 @@ def test_bench_counts_spikes_and_additions(program, model):
         n_events += volume.n_events
         for layer in spikes:
             spikes[layer] += volume.spikes(layer)
+            additions[layer] += volume.additions(layer)
     assert code == 0 and "us_a_whole_pass" not in report and "multiplications" not in report
     assert report["spikes_an_event"] == {name: n / n_events for name, n in spikes.items()}
-    assert min(report["additions_an_event"].values()) >= 0 < report["decisions_a_second"]["median"]
+    assert report["additions_an_event"] == {name: n / n_events for name, n in additions.items()}
+    assert len(spikes) > 1 and report["decisions_a_second"]["median"] > 0
     code, text, _ = program("bench", "--model", model)
-    assert "ns an event into the network" in text and "one event causes spikes in layer" in text
+    by_layer = ", ".join(f"{name} {n / n_events:.2f}" for name, n in spikes.items())
+    n_added = f"{sum(additions.values()) / n_events:,.0f}"
+    assert "ns an event into the network" in text
+    last = f"one event causes spikes in layer {by_layer}; {n_added} weights added"
+    assert text.splitlines()[-1] == last
 
 
 def test_check_compares_spikes_and_membranes(program, model, monkeypatch):
@@ -145,6 +152,35 @@ def test_info_lists_the_nodes_of_a_graph(program, graph):
     )
     report = json.loads(program("info", graph, "--json")[1])
     assert len(report["nodes"]) == len(nodes)
+
+
+def test_info_lists_a_graph_with_a_circle_and_its_large_fields(program, tmp_path):
+    """Of more than four numbers, by shape; --json has all."""
+    nir = pytest.importorskip("nir", reason="needs the extra `nir`")
+    graph = nir.NIRGraph(
+        {
+            "input": nir.Input({"input": np.array([2])}),
+            "small": nir.Linear(np.ones((2, 2))),
+            "large": nir.Linear(np.ones((1, 5))),
+            "output": nir.Output({"output": np.array([2])}),
+        },
+        [("input", "small"), ("small", "large"), ("large", "small"), ("small", "output")],
+        type_check=False,
+    )
+    nir.write(tmp_path / "net.nir", graph)
+    code, text, _ = program("info", tmp_path / "net.nir")
+    head, *nodes, _ = text.splitlines()
+    assert code == 0 and head.endswith("net.nir: NIR graph, 4 nodes, 4 edges")
+    words = sorted(" ".join(line.split()) for line in nodes)
+    assert words == [
+        "input Input",
+        "large Linear reads small; weight 1x5",
+        "output Output reads small",
+        "small Linear reads input, large",
+    ]
+    report = json.loads(program("info", tmp_path / "net.nir", "--json")[1])
+    assert report["nodes"]["small"] == {"type": "Linear", "shapes": {"weight": [2, 2]}}
+    assert ["large", "small"] in report["edges"] and len(report["edges"]) == 4
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from networks.teaching.lessons import CLASSES, CONFIG, of_classes, recording
 from async_tnt import Processor, load_model
 from async_tnt.base.files import Replacement
 from async_tnt.cli import teach
+from async_tnt.cli.lessons import lesson_lines
 
 
 def write(path, events, sensor=CONFIG.sensor):
@@ -113,6 +114,38 @@ def test_what_is_empty_damaged_or_there_twice_is_left_out(program, base, lesson,
     assert len({copy, damaged, empty}) == 3
 
 
+def test_what_is_left_out_of_a_class_is_told_once(program, base, lesson, tmp_path):
+    """And is no reason why there is nothing to learn another class from."""
+    empty = write(tmp_path / "empty.npz", recording(3, 0)[:0])
+    write(tmp_path / "e" / "0.npz", recording(4, 0))
+    (tmp_path / "f").mkdir()
+    for last, code in ((tmp_path / "e", 0), (tmp_path / "f", 2)):
+        words = ("--class", "d", lesson, empty, "--class", "e", last)
+        found, _, err = program("teach", base, *words, "--out", tmp_path / "m.safetensors")
+        assert found == code and err.count("left out: ") == err.count("empty.npz") == 1
+
+
+def test_windows_of_nothing_are_of_so_many_recordings_of_each_class(
+    program, base, tmp_path, monkeypatch
+):
+    without = replace(load_model(base), statistics=None).save(tmp_path / "old.safetensors")
+    for k, name in enumerate(CLASSES):
+        for i in range(5):
+            write(tmp_path / "set" / name / f"{i}.npz", recording(k, i))
+    read = []
+    with_nothing = teach.with_nothing
+
+    def noted(model, windows):
+        read.extend(np.unique(windows.recording))
+        return with_nothing(model, windows)
+
+    monkeypatch.setattr(teach, "with_nothing", noted)
+    monkeypatch.setattr(teach, "MOST_KEPT", 2)
+    words = ("--statistics", tmp_path / "set", "--out", tmp_path / "new.safetensors")
+    assert program("teach", without, *words)[0] == 0
+    assert len(read) == 2 * len(CLASSES)
+
+
 def test_few_recordings_are_taught_with_a_word(program, base, lesson, tmp_path):
     out = tmp_path / "more.safetensors"
     code, stdout, _ = program("teach", base, "--class", "d", lesson / "0.npz", "--out", out)
@@ -173,6 +206,7 @@ def test_mistakes_are_named(refused, base, lesson, tmp_path):
         (("--class", "a", "udp://127.0.0.1:1"), "--class a: the model has this class; give --for"),
         (("--class", "", lesson), "`name` must be a text that can be printed"),
         (("--class", "d", tmp_path / "none.npz"), f"no recording {tmp_path / 'none.npz'}"),
+        (("--class", "d", lesson, tmp_path / "none.npz"), "none.npz"),
         (("--class", "d", other), "a sensor of 64x48 pixels, but the model is for 20x16"),
         (("--class", "d", lesson, other), "a sensor of 64x48 pixels, but the model is for 20x16"),
         (("--class", "d", empty), "--class d: nothing to learn it from ("),
@@ -222,8 +256,91 @@ def test_info_and_check_know_a_taught_model(program, base, lesson, tmp_path):
     assert report["statistics"]["taught"] == ["d"]
     assert report["statistics"]["trained"] == list(CLASSES)
     assert report["record"]["taught"]["d"]["recordings"] == 6
+    statistics = load_model(out).statistics
+    assert (report["statistics"]["layer"], report["statistics"]["components"]) == (
+        statistics.layer,
+        statistics.n_components,
+    )
+    assert report["statistics"]["bytes"] == statistics.n_bytes
+    assert "MB of statistics; taught: none yet" in program("info", base)[1]
     code, stdout, _ = program("info", "digits-from-pictures", "--json")
     assert json.loads(stdout)["statistics"] is None
     pytest.importorskip("torch", reason="check compares with torch (extra `reference`)")
     code, stdout, err = program("check", lesson / "0.npz", "--model", out)
     assert code == 0, stdout + err
+
+
+@pytest.mark.parametrize(
+    ("n", "told"),
+    [
+        (
+            4,
+            "  how many are right and how sure it is cannot be told from 4: give 5 or more",
+        ),
+        (5, "  80% right of what was left out in turn; 10 recordings are good"),
+        (9, "  80% right of what was left out in turn; 10 recordings are good"),
+        (10, "  80% right of what was left out in turn"),
+    ],
+)
+def test_a_lesson_in_words_by_hand(n, told):
+    """The three classes of which most is taken are named, the first one first."""
+    entry = {
+        "recordings": n,
+        "windows": 3 * n,
+        "left_out_right": 0.8,
+        "taken": {"a": 0.01, "b": 0.25, "c": 0.0, "d": 0.125},
+        "taken_of_nothing": 0.0625,
+    }
+    first, second, *more = lesson_lines("point", entry)
+    assert first == f"point: taught from {n} recordings, {3 * n} windows"
+    assert second.startswith(told) and (n < 5 or second == told)
+    assert more == [
+        "  takes, by the statistics, 25.0% of b, 12.5% of d, 1.0% of a and less of others",
+        "  and 6.2% of windows that show none of the classes",
+    ]
+    del entry["taken"]["c"], entry["taken_of_nothing"]
+    assert list(lesson_lines("point", entry))[2:] == [
+        "  takes, by the statistics, 25.0% of b, 12.5% of d, 1.0% of a"
+    ]
+
+
+def test_recordings_are_read_by_the_options(program, base, lesson, tmp_path):
+    """A part of each, of some pixels; a text whose columns are not named."""
+    out = tmp_path / "more.safetensors"
+    parts = []
+    for i in range(6):
+        events = recording(3, i)
+        rows = zip(*(events[name].tolist() for name in "xypt"), strict=True)
+        text = "".join(f"{x},{y},{p},{t}\n" for x, y, p, t in rows)
+        (lesson / f"{i}.npz").unlink()
+        (lesson / f"{i}.csv").write_text(text)
+        inside = (events["t"] < 2000) & (events["x"] >= 14) & (events["y"] >= 12)
+        parts.append(events[inside])
+    reading = ("--columns", "xypt", "--between-us", "0,2000", "--sensor", "20x16")
+    words = ("--class", "d", lesson, "--roi", "14,12,6,4", *reading, "--out", out)
+    code, _, err = program("teach", base, *words)
+    assert code == 0, err
+    assert load_model(out).record == load_model(base).with_class("d", parts).record
+
+
+def test_statistics_are_of_the_labelled_parts_of_recordings(program, base, tmp_path):
+    """Each recording shows all classes, one after the other, for 3 ms each."""
+    without = replace(load_model(base), statistics=None).save(tmp_path / "old.safetensors")
+    labels = ["class,start,end"]
+    labels += [f"{name},{3000 * k},{3000 * (k + 1)}" for k, name in enumerate(CLASSES)]
+    for i in range(5):
+        parts = [recording(k, i) for k in range(3)]
+        for k, part in enumerate(parts):
+            part["t"] += 3000 * k
+        write(tmp_path / "set" / f"r{i}.npz", np.concatenate(parts))
+        (tmp_path / "set" / f"r{i}_labels.csv").write_text("\n".join(labels))
+    out = tmp_path / "new.safetensors"
+    code, _, err = program("teach", without, "--statistics", tmp_path / "set", "--out", out)
+    assert code == 0, err
+    found = load_model(out).statistics
+    of_parts = {name: [recording(k, i) for i in range(5)] for k, name in enumerate(CLASSES)}
+    expected = replace(load_model(base), statistics=None).with_statistics(of_parts).statistics
+    assert found.moments.keys() == expected.moments.keys() == set(CLASSES)
+    for name, moments in expected.moments.items():
+        assert found.moments[name].count == moments.count, name
+        np.testing.assert_allclose(found.moments[name].mean, moments.mean)

@@ -2,11 +2,14 @@
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from made import random_model
 
+from async_tnt import load_model
 from async_tnt.cli import train, train_options
 from async_tnt.cli.train_summary import print_summary
 
@@ -59,8 +62,8 @@ RECORD = {
 }
 
 
-def summary(capsys, record=RECORD, scores=None, **more):
-    model = SimpleNamespace(record=record, statistics=None)
+def summary(capsys, record=RECORD, scores=None, statistics=None, **more):
+    model = SimpleNamespace(record=record, statistics=statistics)
     fitted = SimpleNamespace(model=model, scores=scores)
     settings = {"as_json": False} | more
     print_summary(
@@ -88,6 +91,8 @@ def test_the_summary_tells_each_part_by_its_name(capsys):
     assert "of the sessions that were learned from" in "".join(
         summary(capsys, {**RECORD, "data": {"held_out_in_time": ["a"]}})
     )
+    *_, line, _ = summary(capsys, statistics=SimpleNamespace(n_bytes=1_260_000))
+    assert line == "statistics for `async-tnt teach` are 1.3 MB of it (--no-statistics)"
     printed = json.loads("".join(summary(capsys, as_json=True)))
     assert printed == {"out": "m.safetensors", **RECORD}
 
@@ -134,6 +139,10 @@ def test_windows_of_a_class_are_told_where_few_recordings_are_held_out(n, is_tol
             r"--validation 0.5 --groups 'user\d+' --network mine.py:build --seed 7",
         ),
         ("set --mask hot.npy --camera a.npz", "--mask MASK"),
+        (
+            "set --everywhere --sensor 96x64 --scales 0.2-0.5",
+            "--sensor 96x64 --scales 0.2-0.5 --everywhere",
+        ),
     ],
 )
 def test_the_command_in_the_record_repeats_what_decides_and_names_no_folder(words, told):
@@ -194,3 +203,54 @@ def test_motions_that_were_found_are_told_and_few_are_warned_of(n_found, is_warn
         f"motion found in {n_found} of 100 windows; the other windows are used only as recorded"
     )
     assert "recorded and simulated windows differ in ON share. Compare" in lines[-1]
+
+
+@pytest.mark.parametrize("is_drawn", [True, False])
+def test_at_the_end_what_was_left_out_and_what_was_not_drawn_is_told(
+    is_drawn, tmp_path, monkeypatch, capsys
+):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    monkeypatch.setattr("async_tnt.training.run_folder.plot_curves", lambda *_: is_drawn)
+    model = replace(random_model(), record=RECORD)
+    fitted = SimpleNamespace(model=model, scores={"f1": 0.5}, history=[{"epoch": 1}])
+    data = SimpleNamespace(tests=None, left_out=["a.npz: no events"], held_out=("b.npz",))
+    outputs = train._Outputs(tmp_path / "m.safetensors")
+    args = SimpleNamespace(out=outputs.model, json=False)
+    monkeypatch.setattr(train, "print_summary", lambda *given, as_json: told.append(given[2]))
+    told = []
+    train._write(fitted, data, outputs, args)
+    why = "no picture of curves: matplotlib is not installed (pip install 'async_tnt[plot]')"
+    lines = [] if is_drawn else [why]
+    assert capsys.readouterr().err.splitlines() == [*lines, "left out: a.npz: no events"]
+    curves = [outputs.curves] if is_drawn else []
+    assert told == [[outputs.model, outputs.numbers, *curves]]
+    assert load_model(outputs.model).record == RECORD
+    numbers = json.loads(outputs.numbers.read_text())
+    assert numbers == {
+        "f1": 0.5,
+        "held_out": ["b.npz"],
+        "summary": RECORD,
+        "history": [{"epoch": 1}],
+    }
+
+
+def test_what_a_camera_was_measured_to_be_is_told(monkeypatch, capsys):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    measured = SimpleNamespace(
+        step_on=0.3, step_off=0.2, after_share=0.125, noise_hz=0.0456, refractory_us=250.4
+    )
+    asked = []
+
+    def measure_camera(*given, **reading):
+        asked.append((given, reading))
+        return measured
+
+    monkeypatch.setattr("async_tnt.training.simulated_pictures.measure_camera", measure_camera)
+    path = Path("somewhere", "desk.npz")
+    args = SimpleNamespace(camera=path, sensor=(34, 30), columns="xypt", topic=None)
+    assert train._measured_camera(args, 105_000) is measured
+    assert asked == [((path, 105_000, (34, 30)), {"columns": "xypt"})]
+    assert capsys.readouterr().err == (
+        "desk.npz: thresholds of ON to OFF 1.50, after-pulses 12%, noise 0.046 events a pixel and "
+        "second, refractory time up to 250 us (0 of these two: not known)\n"
+    )

@@ -230,6 +230,8 @@ def test_a_mistyped_word_gets_a_hint(command, refused):
             "--verison",
             "are required: COMMAND; --verison: did you mean --version? (async-tnt --help)",
         ),
+        # an option of the command, but before it
+        ("--modle run", "unrecognized arguments: --modle (async-tnt run --help)"),
         ("xyzzy --modle", "'view', 'plot') (async-tnt --help)"),
         ("run -- --modle", "async-tnt: --modle: No such file or directory"),
         # the beginning of --model

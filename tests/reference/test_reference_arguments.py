@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import tnt_reference
 import torch
-from tnt_reference import tnt_volume
+from tnt_reference import Classifier, LandmarkRegressor, Pipeline, tnt_volume
+from tnt_reference.moving_image import shift_matrix
 
 WINDOW = dict(start_us=1_000, window_us=5_000, sensor=(34, 34), grid=(34, 34))
 T = [1_200, 1_300, 5_000, 6_000]
@@ -111,13 +112,73 @@ OTHERS = [
         "`window_us` must be positive, got 0",
     ),
     (lambda: tnt_reference.windows_of_events(T, 0), "`n` must be at least 1, got 0"),
+    (lambda: shift_matrix(4, torch.zeros(())), "`n` must be odd, got 4"),
+    (
+        lambda: tnt_reference.LayerNetwork([{"op": "mish", "name": "a", "inputs": ["volume"]}], {}),
+        "an op of layers must be one of conv, .*, got 'mish'",
+    ),
+    (
+        lambda: Classifier(grid=(9, 3)),
+        r"`grid` must have sides of at least 4 pixels, to be halved twice, got \(9, 3\)",
+    ),
+    *(
+        (
+            lambda network=network, shape=shape: network(grid=(5, 4))(torch.zeros(shape)),
+            r"`volume` must have shape .* with \(C, H, W\) = \(9, 4, 5\), got ",
+        )
+        for network in (Classifier, LandmarkRegressor)
+        for shape in ((9, 5, 4), (8, 4, 5), (4, 5), (1, 1, 9, 4, 5))
+    ),
+    (
+        lambda: pipeline(representation="surface"),
+        "`representation` must be one of volume, count, count_time, .*, got 'surface'",
+    ),
+    (
+        lambda: pipeline(representation="count"),
+        "`bins` must be 1 with representation 'count', got 9",
+    ),
+    (
+        lambda: pipeline(representation="mean_time", bins=1),
+        "`transform` must be 'none' with representation 'mean_time', got 'tnt'",
+    ),
+    (lambda: pipeline(transform="raw"), "`transform` must be 'tnt' or 'none', got 'raw'"),
+    (lambda: pipeline(landmark="middle"), "`landmark` must be one of .*regressor; got 'middle'"),
+    (lambda: pipeline(polarity="both"), "`polarity` must be one of signed, .*, got 'both'"),
+    (lambda: pipeline(remove_flow=True), "`remove_flow` needs the flow fitted by landmark 'line'"),
+    (
+        lambda: pipeline(landmark="regressor"),
+        "go together: got landmark 'regressor' and regressor NoneType",
+    ),
+    (
+        lambda: pipeline(regressor=LandmarkRegressor()),
+        "go together: got landmark 'running' and regressor LandmarkRegressor",
+    ),
+    (
+        lambda: pipeline(polarity="split"),
+        r"the classifier is built for \(channels, grid\) \(9, \(34, 34\)\), these settings give "
+        r"\(18, \(34, 34\)\)",
+    ),
+    (
+        lambda: pipeline(landmark="regressor", regressor=LandmarkRegressor(grid=(8, 8))),
+        r"the regressor is built for \(channels, grid\) \(9, \(8, 8\)\), these settings give ",
+    ),
+    (lambda: pipeline().batch([]), "`windows` must hold at least one .*, got none"),
 ]
+
+
+def pipeline(**settings):
+    return Pipeline(Classifier(), **{"sensor": (34, 34), "window_us": 1_000, **settings})
 
 
 @pytest.mark.parametrize(("call", "message"), OTHERS)
 def test_bad_arguments_of_other_functions(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_events_that_are_counted_have_whole_pixels():
+    with pytest.raises(TypeError, match="`x` and `y` must be whole pixels"):
+        tnt_reference.count_image(T, [0.5, 1, 2, 3], Y, P, sensor=(34, 34))
 
 
 def test_the_reference_imports_nothing_of_what_it_is_compared_with():

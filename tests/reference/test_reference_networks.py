@@ -2,7 +2,14 @@
 
 import pytest
 import torch
-from tnt_reference import Classifier, LandmarkRegressor, Pipeline, event_volume, tnt_volume
+from tnt_reference import (
+    Classifier,
+    LandmarkRegressor,
+    Pipeline,
+    event_volume,
+    landmark,
+    tnt_volume,
+)
 
 SETTINGS = dict(sensor=(12, 10), window_us=5_000, bins=5, t_max=2.0)
 
@@ -90,9 +97,46 @@ def test_pipeline_is_volume_then_classifier(options):
 
 def test_batch_equals_one_by_one_and_may_hold_empty_windows():
     regressor = LandmarkRegressor(5, (12, 10), n_filters=4)
-    for landmark in ({"landmark": "regressor", "regressor": regressor}, {"landmark": "line"}):
-        pipeline = Pipeline(Classifier(5, (12, 10)), **SETTINGS, **landmark)
+    for settings in ({"landmark": "regressor", "regressor": regressor}, {"landmark": "line"}):
+        pipeline = Pipeline(Classifier(5, (12, 10)), **SETTINGS, **settings)
         windows = [window(0), ([], [], [], [], 77), window(2, n=1), window(3, start_us=9)]
         together = pipeline.batch(windows)
         assert together.isfinite().all()
         torch.testing.assert_close(together, torch.stack([pipeline(*w) for w in windows]))
+
+
+def test_a_window_without_a_length_ends_with_its_newest_event():
+    *events, start_us = window()
+    newest = int(events[0].max()) - start_us
+    for name in ("running", "line"):
+        made = {}
+        for window_us in (None, newest):
+            pipeline = Pipeline(
+                torch.nn.Identity(), **SETTINGS | {"window_us": window_us}, landmark=name
+            )
+            made[window_us] = pipeline.volume(*events, start_us)
+        assert torch.equal(made[None], made[newest])
+        assert made[None][-1].abs().sum() > 0  # the newest event lies in the last bin
+
+
+def test_what_a_pipeline_gives_has_the_form_and_type_of_its_classifier():
+    class Two(torch.nn.Module):
+        def forward(self, volume):
+            return volume.sum((1, 2, 3)), 2 * volume
+
+    total, twice = Pipeline(Two(), **SETTINGS)(*window())
+    assert total.shape == () and twice.shape == (5, 10, 12) and twice.dtype == torch.float32
+    both = Pipeline(Two(), **SETTINGS).batch([window(), window(1)])
+    assert [tensor.shape[0] for tensor in both] == [2, 2]
+    classifier = Classifier(5, (12, 10)).double()
+    assert Pipeline(classifier, **SETTINGS).volume(*window()).dtype == torch.float64
+
+
+def test_the_line_of_many_events_is_that_of_each_prefix():
+    """Prefixes are computed some hundred at a time."""
+    t, x, y, _, start_us = window(n=700)
+    at = dict(start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(12, 10))
+    whole = landmark("line", t, x, y, **at)
+    for n in (1, 90, 93, 94, 95, 300, 700):
+        prefix = landmark("line", t[:n], x[:n], y[:n], **at)
+        torch.testing.assert_close(whole[n - 1], prefix[-1], rtol=0, atol=1e-9)

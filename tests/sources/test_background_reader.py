@@ -5,6 +5,7 @@ The tests are about order, skipping and its counts, and the end.
 
 import asyncio
 import collections
+import inspect
 import itertools
 import threading
 import weakref
@@ -16,7 +17,7 @@ import pytest
 from made import random_events
 from waiting import in_both_ways, until
 
-from async_tnt.sources import BackgroundReader, PacketQueue
+from async_tnt.sources import BackgroundReader, KeepUp, PacketQueue
 from async_tnt.sources.queues.queue import QueueCounters
 from async_tnt.volume.events import as_events
 
@@ -239,6 +240,48 @@ async def asynchronous():
 def test_wrong_arguments(settings, error, message):
     with pytest.raises(error, match=f"^{message}"):
         BackgroundReader(**({"source": PACKETS} | settings))
+
+
+def test_a_source_may_be_a_sequence_and_may_close_its_reader():
+    class Packets:
+        """It has no method `__iter__`."""
+
+        def __getitem__(self, k):
+            if k == 3:
+                raise IndexError
+            return EQUAL[k]
+
+    with BackgroundReader(Packets()) as reader:
+        assert sum(map(len, reader)) == 750
+    is_made = threading.Event()
+    outcome = []
+
+    def source():
+        yield EQUAL[0]
+        assert is_made.wait(60)
+        try:
+            reader.close()
+        except RuntimeError as error:  # a thread cannot wait for itself
+            outcome.append(error)
+        else:
+            outcome.append("closed")
+
+    reader = BackgroundReader(source())
+    is_made.set()
+    assert sum(map(len, reader)) in (0, 250)
+    until(lambda: outcome)
+    assert outcome == ["closed"]
+
+
+def test_what_queues_share_has_one_default():
+    """A packet is copied, 64 packets wait, and nothing is lost."""
+    queue, reader, keep_up = [
+        {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
+        for kind in (PacketQueue, BackgroundReader, KeepUp)
+    ]
+    assert queue == dict(max_packets=64, latest=False, max_delay_us=None, copy=True)
+    assert reader == {"source": inspect.Parameter.empty, **queue, "on_close": None}
+    assert all(keep_up[name] == reader[name] for name in ("source", "copy", "on_close"))
 
 
 # -- the queue alone -------------------------------------------------------------------------------

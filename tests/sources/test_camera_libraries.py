@@ -272,6 +272,13 @@ def test_events_that_come_while_a_camera_stops_are_read(monkeypatch):
         device.read()
 
 
+def test_a_camera_of_dv_processing_without_events_is_not_opened():
+    handle = PlayedHandle()
+    handle.getEventResolution = lambda: None
+    with pytest.raises(RuntimeError, match=r"^it has no stream of events$"):
+        DvDevice(lambda descriptor: handle, None)
+
+
 def test_closing_a_camera_of_dv_processing_lets_go_of_it():
     """The library releases a camera when nothing refers to it any more."""
     handles = [PlayedHandle(None)]
@@ -286,7 +293,10 @@ def test_a_camera_without_a_serial_number_is_opened_by_its_address():
     opened_by = []
     listed = [
         SimpleNamespace(
-            name=SimpleNamespace(value="Lucid Triton"), serial=serial, address=address, error=None
+            name=SimpleNamespace(value="Lucid Triton"),
+            serial=serial,
+            address=address,
+            error=f"{address} does not answer",
         )
         for serial, address in (("7", "10.0.0.7"), (None, "10.0.0.8"))
     ]
@@ -294,6 +304,7 @@ def test_a_camera_without_a_serial_number_is_opened_by_its_address():
     for found in neuromorphic_cameras(library):
         with pytest.raises(AttributeError):  # nothing was opened
             found.open()
+        assert found.problem == f"10.0.0.{found.serial or 8} does not answer"
     assert opened_by == [
         {"iterator_timeout": WAIT_S, "serial": "7"},
         {"iterator_timeout": WAIT_S, "address": "10.0.0.8"},

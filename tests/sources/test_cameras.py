@@ -192,6 +192,18 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             r"played found none; a cannot search: libusb[^;]*$",
         ),
         (
+            "camera",
+            {"a": missing, **drivers(name="b"), **drivers(name="c")},
+            OSError,
+            r"^camera: no camera found; b and c found none; a is not installed\. Is it plugged in",
+        ),
+        (
+            "camera:evk4:10.0.0.7:5",  # a serial number may have any characters
+            drivers(evk4()),
+            OSError,
+            r"^camera:evk4:10.0.0.7:5: no camera found; .* which is another camera",
+        ),
+        (
             "camera:evk4:1",
             drivers(evk4()),
             OSError,
@@ -255,6 +267,18 @@ def test_a_loop_may_be_left_and_resumed_until_the_camera_is_closed():
                 camera.close()
         assert packet["t"] == [2] and camera.counts.packets == 3
     assert list(camera) == [] and camera.closed and device.n_closed == 1
+
+
+def test_a_camera_that_fails_to_close_is_closed_and_said_to_have_failed(caplog):
+    device, camera = opened(made_events(1))
+    device.close = poisoned
+    assert repr(camera).startswith("Camera(Prophesee EVK4 00050423 by played, open, CameraCounts(")
+    camera.close()
+    camera.close()
+    assert camera.closed and camera.device is None and list(camera) == []
+    assert repr(camera).startswith("Camera(Prophesee EVK4 00050423 by played, closed, ")
+    (message,) = caplog.messages
+    assert message == ("Prophesee EVK4 00050423 by played: closing it failed: libusb: cannot open")
 
 
 # -- the cable -------------------------------------------------------------------------------------

@@ -34,6 +34,15 @@ def test_one_event_by_hand(format):
     assert events.flags.writeable
 
 
+def test_a_time_of_arrival_is_trusted_whatever_the_limit():
+    """Events of `spif` have no time of their own that could jump."""
+    decoder = Decoder("spif", max_jump_s=1.0)
+    arrivals = [7, 10**9, 5]
+    decoded = [decoder.decode(encode(ONE, "spif"), arrival_us=t) for t in arrivals]
+    assert [events["t"].tolist() for events in decoded] == [[t] for t in arrivals]
+    assert decoder.malformed == 0
+
+
 @of_all_formats
 def test_the_sensors_borders_by_hand(format):
     events = events_of(range(6), [33, 34, 0, 33, 1280, 0], [19, 0, 20, 0, 720, 0], [1] * 6)

@@ -99,6 +99,33 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
     assert hot_pixels(counts).any() == is_hot
 
 
+@pytest.mark.parametrize(("n_neighbours", "is_hot"), [(3, True), (4, False)])
+def test_four_bright_pixels_of_the_block_around_explain_a_pixel(n_neighbours, is_hot):
+    """The block reaches two pixels from the pixel, or further from one at a border."""
+    for x, y in ((9, 9), (0, 0), (19, 29)):
+        counts = np.full((30, 20), 8)
+        left = min(max(x - 2, 0), 15)
+        top = min(max(y - 2, 0), 25)
+        corners = [(left + dx, top + dy) for dx in (0, 4) for dy in (0, 4)]
+        others = [corner for corner in corners if corner != (x, y)] + [(left + 1, top + 3)]
+        for column, row in others[:n_neighbours]:
+            counts[row, column] = 30
+        for k in range(5):  # pixels that lie beyond the block do not count
+            for column, row in ((left + 5, top + k), (left - 1, top + k), (left + k, top + 5)):
+                if 0 <= column < 20 and row < 30:
+                    counts[row, column] = 30
+        counts[y, x] = 120
+        assert hot_pixels(counts)[y, x] == is_hot, (x, y)
+
+
+@pytest.mark.parametrize("sensor", [(4, 30), (30, 4), (3, 3), (2, 1)])
+def test_a_sensor_may_be_smaller_than_the_block(sensor):
+    """Of pixels that are too few to explain any, none is hot."""
+    x, y = sensor[0] - 1, sensor[1] - 1
+    packets = list(planted([(x, y)], 500))
+    assert found(packets, sensor) == ({(x, y)} if sensor[0] * sensor[1] > 4 else set())
+
+
 def test_hot_pixels_are_listed_busiest_first():
     counts = np.array([[7, 9, 1], [8, 9, 2]])
     assert listed_pixels(counts, counts > 6) == [
@@ -179,12 +206,18 @@ def test_an_error_names_its_recording_once(tmp_path, program):
     assert code == 2 and err.count(str(path)) == 1 and "off the 34 x 34 sensor" in err
 
 
-@pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])
+@pytest.mark.parametrize(("n", "more"), [(1, []), (9, []), (10, []), (11, ["... and 1 more"])])
 def test_at_most_ten_hot_pixels_are_listed(tmp_path, program, n, more):
     path = with_hot_pixels(tmp_path / "a.npy", *((3 * k, 2 + 2 * (k % 2), 900) for k in range(n)))
     code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", tmp_path / "mask.npy")
     *pixels, total = printed.splitlines()
-    assert code == 0 and total.startswith(f"{n} hot pixels of 34x34 made ")
+    number = "1 hot pixel" if n == 1 else f"{n} hot pixels"
+    assert code == 0 and total.startswith(f"{number} of 34x34 made ")
+    events = open_recording(path).read()
+    x, y = (int(pixels[0].split()[k]) for k in (1, 3))
+    n_first = int(((events["x"] == x) & (events["y"] == y)).sum())
+    share = f"{n_first / len(events):.2%}"
+    assert pixels[0].split() == ["x", str(x), "y", str(y), str(n_first), "events", share]
     assert pixels[10:] == more and all(line.startswith("x ") for line in pixels[:10])
     assert len(pixels[:10]) == min(n, 10)
 

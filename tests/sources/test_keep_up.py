@@ -112,10 +112,10 @@ def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
     processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)
     reader = reader_of(processor, max_delay_us=100_000)
     steps = [
-        (24, 1),
+        (25, 1),
         (26, 2),
-        (6, 2),
-        (24, 2),
+        (5, 2),
+        (25, 2),
         (26, 4),
         (24, 4),
         (6, 4),
@@ -137,6 +137,28 @@ def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
         clock.now_us += 1_000 * percent
         next(reader)
         assert reader.slower == slower, percent
+
+
+@pytest.mark.parametrize(
+    ("changed_at", "pause"),
+    [
+        (30, 25),  # packets wait for 30 to 50 percent of the longest delay
+        (60, 5),  # for more than 50 percent
+    ],
+)
+def test_between_two_changes_is_a_pause_by_hand(changed_at, pause, clock, reader_of):
+    """In percent of the longest delay."""
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)
+    reader = reader_of(processor, max_delay_us=100_000)
+    start_us = clock.now_us
+    arrivals = (0, changed_at - 10, changed_at - 10) if pause > 5 else (0, 0, 0)
+    for k, arrival in enumerate(arrivals):
+        clock.now_us = start_us + 1_000 * arrival
+        reader.put(packet(k))
+    for later, slower in ((0, 2), (1_000 * pause - 1, 2), (1_000 * pause, 4)):
+        clock.now_us = start_us + 1_000 * changed_at + later
+        next(reader)
+        assert reader.slower == slower, later
 
 
 @pytest.mark.parametrize(

@@ -175,6 +175,8 @@ def test_pixels_of_equal_masks_are_equal_wherever_the_masks_are_from(tmp_path):
     assert pixels == Pixels(mask=str(tmp_path / "hot.npy"))
     assert pixels == replace(pixels, roi=None)
     assert pixels != Pixels(mask=~mask)
+    # the same bytes in another shape
+    assert Pixels(mask=np.zeros((20, 30), bool)) != Pixels(mask=np.zeros((30, 20), bool))
     assert pixels != Pixels()
 
 
@@ -281,6 +283,31 @@ def test_a_region_off_the_expected_camera_is_refused_before_a_source_is_opened(
 ):
     with pytest.raises(ValueError, match=message):
         ModelPixels(pixels, model)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "model", "message"),
+    [
+        (
+            Pixels(ROI, True),
+            (40, 40),
+            r"^a\.npy: `roi` .* on the sensor of 45x60 pixels.*, got \(10",
+        ),
+        (
+            Pixels(mask=np.zeros((48, 61), bool)),
+            (60, 48),
+            r"^mask is a mask of 61x48 pixels, but the model is for 60x48; train one .*, or cut",
+        ),
+        (
+            Pixels((0, 0, 60, 48), False, np.zeros((60, 45), bool)),
+            (45, 60),
+            r"^`roi` .* on the sensor of 45x60 pixels",
+        ),
+    ],
+)
+def test_what_does_not_fit_a_camera_names_the_source_if_one_is_open(pixels, model, message):
+    with pytest.raises(ValueError, match=message):
+        ModelPixels(pixels, model).filter_of("a.npy", (45, 60))
 
 
 def test_a_mask_must_have_the_size_that_is_stated():

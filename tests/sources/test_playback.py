@@ -102,6 +102,7 @@ def test_no_pause_is_too_long_for_the_system(clock):
             {"speed": math.nan},
             r"`speed` must be above 0 \(math.inf: as fast as possible\), got nan",
         ),
+        ({"speed": 0}, r"`speed` must be above 0 \(math.inf: as fast as possible\), got 0"),
         ({"packet_us": 0}, "`packet_us` must be at least 1, got 0"),
     ],
 )

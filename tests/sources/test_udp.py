@@ -1,5 +1,6 @@
 """UdpSource on loopback: packets, the ways to iterate and to end it, counts, names."""
 
+import inspect
 import random
 import re
 import socket
@@ -82,6 +83,17 @@ def test_a_full_memory_ends_a_packet_and_cuts_no_datagram_off(monkeypatch):
     assert [len(packet) for packet in packets] == [200, 200, 100]
     assert np.concatenate(packets).tobytes() == EVENTS[:500].tobytes()
     assert source.counts.malformed == 0
+
+
+def test_the_datagram_that_ends_a_wait_is_a_packet_of_its_own():
+    """It is handed on at once; what has come with it is the next packet."""
+    with listening(sensor=(34, 34)) as source:
+        selector = source._selector
+        source._selector = SimpleNamespace(
+            select=lambda left_s: send(source.port, EVENTS[:300]), close=selector.close
+        )
+        got = [source.receive(60), source.receive(0)]
+    assert [len(packet) for packet in got] == [100, 200]
 
 
 # -- waiting, and the end --------------------------------------------------------------------------
@@ -205,6 +217,36 @@ def test_a_url_has_a_format_and_a_timeout():
         assert again.address == "127.0.0.1"
 
 
+def test_a_source_is_named_by_its_address_and_says_whether_it_is_open():
+    with open_udp("udp://127.0.0.1:0/?format=spif") as source:
+        assert source.name == f"udp://127.0.0.1:{source.port}"
+        assert repr(source).startswith(f"UdpSource({source.name}?format=spif, open, NetworkCounts(")
+    assert repr(source).startswith(f"UdpSource({source.name}?format=spif, closed, ")
+    source.address = "::1"
+    assert source.name == f"udp://[::1]:{source.port}"
+
+
+def test_sender_and_listener_have_one_default_format():
+    formats = [inspect.signature(f).parameters["format"] for f in (encode, Decoder, UdpSource)]
+    assert [one.default for one in formats] == ["t64_x16_y16_on8"] * 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        *(({"port": port}, rf"`port` must be .*, got {port}") for port in (-1, 65_536)),
+        *(
+            ({"buffer_bytes": n}, rf"`buffer_bytes` must be in \[1, 2\*\*30\), got {n}")
+            for n in (0, 1 << 30)
+        ),
+        *(({"timeout_s": s}, "`timeout_s` must be a positive number of seconds") for s in (0, 1e6)),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        UdpSource(**({"port": 0} | settings))
+
+
 @pytest.mark.parametrize("buffer_bytes", [1 << 14, 1 << 16])
 def test_the_buffer_has_the_bytes_that_were_asked_for(buffer_bytes):
     with UdpSource(port=0, buffer_bytes=buffer_bytes) as source:
@@ -245,6 +287,10 @@ def test_a_wrong_setting_leaves_the_port_free():
         (
             "udp://127.0.0.1:1?format=aer",
             f"`format` must be one of {', '.join(EVENT_BYTES)}, got 'aer'",
+        ),
+        (
+            "udp://127.0.0.1:1?format=",
+            f"`format` must be one of {', '.join(EVENT_BYTES)}, got ''",
         ),
         ("udp://127.0.0.1:1?speed=1", "unknown option 'speed', expected format or timeout_s"),
         (

@@ -285,7 +285,7 @@ def test_the_loss_of_sizes_is_a_mean_over_the_places_of_objects(monkeypatch):
     of_classes = (losses[target] * weight).sum() / weight.sum()
     away = np.abs(np.log([4.0, 2.0]) - sizes[target < 3])
     of_sizes = np.where(away < 0.1, away**2 / 0.2, away - 0.05).mean()
-    expected = of_classes + objectives.BOX_WEIGHT * of_sizes
+    expected = of_classes + objectives.SIZE_WEIGHT * of_sizes
     assert found.loss.item() == pytest.approx(expected, rel=1e-5)
     assert sizes[target < 3].max() > 1.0  # objects are several pixels large
 

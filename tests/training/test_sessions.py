@@ -4,6 +4,8 @@ They are cut as if each part were a file.
 """
 
 import json
+import os
+import sys
 
 import numpy as np
 import pytest
@@ -321,6 +323,7 @@ def test_a_session_may_be_a_text(tmp_path):
     [
         ("wave,-1,5\n", "line 2: expected a class, and whole start < end in us, got wave, -1, 5"),
         ("wave,5,5\n", "line 2: expected a class, and whole start < end in us, got wave, 5, 5"),
+        ("wave,5\n", "line 2: expected a class, and whole start < end in us, got wave, 5,"),
         (",5,6\n", "line 2: expected a class, and whole start < end in us, got , 5, 6"),
         ("wave,0,5\nclap,5,6\nclap,0,5\n", "line 4: 0 to 5 us is there twice"),
     ],
@@ -334,7 +337,7 @@ def test_a_part_has_a_class_and_a_length_and_is_there_once(tmp_path, rows, messa
 
 def test_parts_of_one_class_may_follow_at_once_and_begin_at_0(tmp_path):
     (tmp_path / "a.npz").touch()
-    (tmp_path / "a_labels.csv").write_text(HEADER + "wave,0,5\nwave,5,6\nwave,0,6\n")
+    (tmp_path / "a_labels.csv").write_text(HEADER + "wave,0,5\nwave , 5 , 6 \nwave,0,6\n")
     assert names_in(tmp_path) == {"wave": ["a.npz[0:5]", "a.npz[5:6]", "a.npz[0:6]"]}
 
 
@@ -342,7 +345,10 @@ def test_a_part_of_a_data_set_that_holds_nothing_is_not_one(tmp_path):
     """As a folder Train that was made for something else."""
     (tmp_path / "Train").mkdir()
     (tmp_path / "Train" / "notes.md").touch()
-    for name in ("wave/a.npy", "wave/folder.npy/b.npy", "clap/b.npy", "clap/a.npy"):
+    for name in (
+        *("wave/a.npy", "wave/.hidden.npy", "wave/folder.npy/b.npy"),
+        *("clap/b.npy", "clap/a.npy", ".hidden/a.npy"),
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     expected = {"Train": [], "clap": ["clap/a.npy", "clap/b.npy"], "wave": ["wave/a.npy"]}
@@ -372,3 +378,19 @@ def test_recordings_below_a_folder_are_sorted_and_links_to_folders_are_not_follo
         "a/2.npy",
         "b/1.npy",
     ]
+
+
+def test_a_folder_that_cannot_be_listed_is_an_error(tmp_path):
+    (tmp_path / "a.npy").touch()
+    for name, error in (("gone", FileNotFoundError), ("a.npy", NotADirectoryError)):
+        with pytest.raises(error):
+            recordings_under(tmp_path / name)
+        with pytest.raises(error):
+            find_recordings(tmp_path / name)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names need not be in UTF-8 on Linux alone")
+def test_a_class_whose_name_is_not_in_utf_8_is_named(tmp_path):
+    os.makedirs(os.fsencode(tmp_path) + b"/wa\xffve")
+    with pytest.raises(ValueError, match=r"must be in UTF-8, got 'wa.udcffve'; rename it$"):
+        find_recordings(tmp_path)

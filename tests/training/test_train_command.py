@@ -251,6 +251,21 @@ def test_errors_are_one_line(words, message, is_early, program, tmp_path, monkey
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
+@pytest.mark.parametrize("out", ["set/Train/m", "set/Test/m", "link/m", "set/Test/deep/m"])
+def test_a_model_is_not_written_into_the_folders_of_the_classes(out, program, tmp_path):
+    """There the run folder would be a class. A link to such a folder is followed."""
+    for part in ("Train", "Test"):
+        write_set(tmp_path / "set" / part, {"upright": 1, "slanted": 1}, side=34)
+    (tmp_path / "set" / "Test" / "deep").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "set" / "Train")
+    before = sorted(tmp_path.rglob("*"))
+    code, _, err = program("train", tmp_path / "set", "--out", tmp_path / f"{out}.safetensors")
+    folder = "Test" if "Test" in out else "Train"
+    assert code == 2 and err.count("\n") == 1
+    assert f"--out must lie outside of {tmp_path / 'set' / folder}, in which a folder" in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_an_option_that_was_removed_is_none():
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)

@@ -537,8 +537,11 @@ def test_what_cannot_be_learned_is_said_in_one_line(tmp_path, program):
     write_set(tmp_path / "a", 3)
     whole = tmp_path / "a"
     assert "give --everywhere to learn from them" in error(whole, everywhere=False)
-    refused = ("--scales", "0.1-0.3", "--size", "0.3", "--roi", "0,0,20,20")
-    assert "--scales, --size, --roi cannot be used with tables" in error(whole, *refused)
+    refused = ("--scales", "0.1-0.3", "--size", "0.3", "--camera", "a.npz", "--roi", "0,0,20,20")
+    refused = (*refused, "--mask", "m.npy")
+    assert "--scales, --size, --camera, --roi, --mask cannot be used with tables" in error(
+        whole, *refused
+    )
     assert "--test is for class folders: give recordings" in error(whole, "--test")
     assert "--sensor must be that of all recordings; " in error(whole, "--sensor", "128x96")
     assert "must compute a map" in error(whole, "--network", "residual")

@@ -120,6 +120,29 @@ def test_a_window_that_slides(plot):
     assert code == 2 and "windows of a duration can be drawn, but not of 500 events" in err
 
 
+def test_volumes_without_a_picture_are_seen_in_the_viewer(plot):
+    """Counts in slices of time, and those of a sensor of one line, which have no transform."""
+    slices = TNTConfig(representation="volume", transform="none", last_us=50_000, bins=5)
+    assert slices.slice_us == 10_000
+    random_model(slices).save("m.safetensors")
+    np.savez("line.npz", events=random_events(99, sensor=(40, 1)), sensor=(40, 1))
+    for words, message in (
+        (
+            ("5", "--model", "m.safetensors"),
+            "m.safetensors: volumes of counts in slices have no picture here; `async-tnt view` "
+            "shows them",
+        ),
+        (
+            ("line.npz",),
+            "line.npz: the picture shows volumes after the transform, and a line of 40x1 pixels "
+            "has no plane to transform; `async-tnt view` shows it",
+        ),
+    ):
+        code, _, err = plot(*words, "--out", "a.png")
+        assert (code, err) == (2, f"async-tnt: {message}\n")
+        assert not Path("a.png").exists()
+
+
 def test_a_dollar_in_a_files_name_is_no_formula(plot):
     np.save("a^$b^$.npy", random_events(300))  # as a formula it would be an error
     assert plot("a^$b^$.npy", "--sensor", "34x34", "--out", "a.svg")[0] == 0

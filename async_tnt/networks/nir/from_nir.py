@@ -33,7 +33,7 @@ OFF_FIRST: PolarityOrder = "off_first"
 """The order of published graphs of N-MNIST, and of the library tonic."""
 
 LEAKY = ("LIF", "LI", "CubaLIF", "CubaLI")
-"""Nodes whose input counts by the time step of the program that trained them."""
+"""Nodes whose input is multiplied by the time step of the program that trained them."""
 
 
 class Meaning(NamedTuple):

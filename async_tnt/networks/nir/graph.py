@@ -82,7 +82,8 @@ def _text(value: Any) -> str:
 def graph_of(fields: Fields) -> Graph:
     """The graph of the fields of a file, or of what `nir.NIRGraph.to_dict` returns.
 
-    Graphs inside the graph are opened: their nodes stand with their graph's name before their own.
+    Graphs inside the graph are opened. The names of their nodes begin with the graph's name and a
+    dot.
 
     Raises
     ------

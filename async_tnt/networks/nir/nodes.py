@@ -150,7 +150,9 @@ def _pool(op: str) -> Rule:
 def _flatten(source: Source, node: Node) -> dict[str, Any]:
     (start,) = whole_numbers_of(node, "start_dim", 1)
     (end,) = whole_numbers_of(node, "end_dim", 1)
-    last_axis = 0 if source.is_pixels_alone else 1 if source.is_line else 2
+    last_axis = 1 if source.is_line else 2
+    if source.is_pixels_alone:
+        last_axis = 0
     if start != 0 or end not in (-1, last_axis):
         raise NotImplementedError(f"a Flatten from {start} to {end}, not of all axes (0 to -1)")
     return {"op": "flatten"}

@@ -96,7 +96,10 @@ class _SpikingWriter(GraphWriter):
             self.nodes_of[first["name"]] = [self._input]
 
     def _is_sum_of_polarities(self, layer: Layer) -> bool:
-        """Whether a layer adds the two polarities of each pixel, as that of an input (1, H, W)."""
+        """Whether a layer only adds the two polarities of each pixel.
+
+        Such a layer stands for an input (1, H, W).
+        """
         if layer["op"] != "conv":
             return False
         weight = self.tensors_of(layer)["weight"]

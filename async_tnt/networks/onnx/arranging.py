@@ -216,7 +216,8 @@ def cut(onnx_layers: OnnxLayers, node: Node) -> None:
 def _take(onnx_layers: OnnxLayers, node: Node, taken: Sequence[range]) -> None:
     """Add the layers that take some channels, rows and columns.
 
-    taken : which parts of the batch, the channels, and if there are some the rows and columns.
+    taken : what is taken along each axis: of the batch, of the channels and, for a map, of rows and
+        columns.
     """
     sources = node.inputs[:1]
     channels, *sides = onnx_layers.shape(sources[0])

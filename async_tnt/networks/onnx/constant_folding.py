@@ -74,15 +74,15 @@ def is_folded(onnx_layers: OnnxLayers, node: Node) -> bool:
     inputs = [name for name in node.inputs if name]
     if node.op not in FOLDED or not all(name in onnx_layers.constants for name in inputs):
         return False
-    values = {name: onnx_layers.constants[name] for name in inputs}
-    size = _output_size(node, list(values.values()))
-    largest_input = max((value.size for value in values.values()), default=0)
+    values = [onnx_layers.constants[name] for name in inputs]
+    size = _output_size(node, values)
+    largest_input = max((value.size for value in values), default=0)
     onnx_layers.n_folded += max(size, largest_input)
     fits = size <= max(MOST_NUMBERS, largest_input)
     fits = fits and onnx_layers.n_folded <= MOST_NUMBERS_OF_ALL
     expect_form(fits, f"a {node.op} of large constants")
     try:
-        outputs = _computed(node, values, onnx_layers.opset)
+        outputs = _computed(node, dict(zip(inputs, values, strict=True)), onnx_layers.opset)
     except Exception as error:  # the evaluator raises whatever NumPy raises
         raise NotImplementedError(f"it cannot be computed: {error}") from None
     onnx_layers.constants.update(zip(node.outputs, outputs, strict=True))
@@ -98,8 +98,6 @@ def _shape(onnx_layers: OnnxLayers, value: str) -> tuple[int, ...]:
     """The shape of a value, with its batch of one."""
     if value in onnx_layers.constants:
         return onnx_layers.constants[value].shape
-    is_arranged = value in onnx_layers.grouped or value in onnx_layers.flat_groups
-    expect_form(not is_arranged, "the shape of channels in groups")
     channels, *sides = onnx_layers.shape(value)
     if value in onnx_layers.channels_last:
         return (1, *sides, channels)
@@ -107,7 +105,10 @@ def _shape(onnx_layers: OnnxLayers, value: str) -> tuple[int, ...]:
 
 
 def _output_size(node: Node, values: list[np.ndarray]) -> int:
-    """How many numbers a node's output has, if it may have more than its inputs; else 0."""
+    """How many numbers a node's output has, if it may have more than its inputs; else 0.
+
+    values : the inputs in the node's order. A node may read one constant several times.
+    """
     if node.op == "ConstantOfShape":
         return math.prod(map(int, values[0].reshape(-1)))
     if node.op == "Concat":
@@ -122,7 +123,10 @@ def _output_size(node: Node, values: list[np.ndarray]) -> int:
 
 
 def _computed(node: Node, values: dict[str, np.ndarray], opset: int) -> list[np.ndarray]:
-    """The outputs of a node, by ONNX's own reference of its operators."""
+    """The outputs of a node, by ONNX's own reference of its operators.
+
+    values : name -> values of the node's inputs.
+    """
     from onnx import TensorProto, helper
     from onnx.reference import ReferenceEvaluator
 

@@ -158,7 +158,7 @@ class OnnxLayers:
     def shape(self, value: str) -> tuple[int, ...]:
         """The shape of a value, (C, H, W) or (N,).
 
-        Of channels in groups, or as last axis, it is that of the map itself.
+        If a map has its channels in groups, or as last axis, this is the shape of the map itself.
         """
         if value in self.grouped:
             value = self.grouped[value].source

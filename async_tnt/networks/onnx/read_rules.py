@@ -74,7 +74,10 @@ def conv_transpose(onnx_layers: OnnxLayers, node: Node) -> None:
 
 
 def resize(onnx_layers: OnnxLayers, node: Node) -> None:
-    """Add an upsampling by the nearest place, by one whole number."""
+    """Add the layers of an upsampling by one whole number, nearest or linear.
+
+    A map of one place may be repeated by two different numbers.
+    """
     mode = node.get("mode", "nearest")
     expect_form(mode in ("nearest", "linear"), f"mode {mode}")
     coordinates = node.get("coordinate_transformation_mode", "half_pixel")
@@ -91,18 +94,7 @@ def resize(onnx_layers: OnnxLayers, node: Node) -> None:
         expect_form(coordinates in known and not node.get("antialias", 0), f"linear {coordinates}")
     channels, *sides = onnx_layers.shape(node.inputs[0])
     expect_form(len(sides) == 2, "a Resize of a vector")
-    is_old = node.op == "Upsample" or onnx_layers.opset < 11
-    scales = onnx_layers.constant(node, 1 if is_old else 2)
-    if node.get("scales") is not None:  # an attribute before opset 9
-        scales = np.array(node.get("scales"))
-    sizes = onnx_layers.constant(node, 3)
-    if sizes is not None and sizes.size:
-        factors = [float(size) / side for size, side in zip(sizes[2:], sides, strict=True)]
-    else:
-        expect_form(scales is not None and scales.size == 4, "a Resize without scales")
-        assert scales is not None
-        expect_form(scales[:2].tolist() == [1, 1], "a Resize of other than places")
-        factors = [float(scale) for scale in scales[2:]]
+    factors = _factors(onnx_layers, node, sides)
     if sides == [1, 1] and all(factor.is_integer() for factor in factors):
         # the number of the only place, everywhere
         size = [int(factor) for factor in factors]
@@ -120,6 +112,22 @@ def resize(onnx_layers: OnnxLayers, node: Node) -> None:
     onnx_layers.add(node, "edge_pad", node.inputs[:1], padding=EDGE)
     sources = node.outputs
     _enlarge(onnx_layers, node, bilinear(channels, factor), onnx_layers.dtype, sources)
+
+
+def _factors(onnx_layers: OnnxLayers, node: Node, sides: Sequence[int]) -> list[float]:
+    """By which factors a Resize or Upsample enlarges rows and columns, from its sizes or scales."""
+    sizes = onnx_layers.constant(node, 3)
+    if sizes is not None and sizes.size:
+        return [float(size) / side for size, side in zip(sizes[2:], sides, strict=True)]
+
+    is_old = node.op == "Upsample" or onnx_layers.opset < 11
+    scales = onnx_layers.constant(node, 1 if is_old else 2)
+    if node.get("scales") is not None:  # an attribute before opset 9
+        scales = np.array(node.get("scales"))
+    expect_form(scales is not None and scales.size == 4, "a Resize without scales")
+    assert scales is not None
+    expect_form(scales[:2].tolist() == [1, 1], "a Resize of other than places")
+    return [float(scale) for scale in scales[2:]]
 
 
 def pad(onnx_layers: OnnxLayers, node: Node) -> None:

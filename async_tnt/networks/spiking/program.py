@@ -259,8 +259,7 @@ class _Maker:
         arrays.lay_out(output)
         stages = {}
         for name, number in self._stage_of.items():
-            is_shown = name == self._output or name in self._layers
-            if is_shown and self._layers[name]["op"] != "pick":
+            if name != VOLUME and self._layers[name]["op"] != "pick":
                 stages[name] = arrays.memory_of(number, self._shapes[name])
         return SpikingProgram(
             arrays.program,

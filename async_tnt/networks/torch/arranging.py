@@ -92,9 +92,8 @@ def _affine(layer_list: LayerList, call: Call, x: Any, **constants: torch.Tensor
         # a constant of more axes would give the value more axes
         fits = values.dim() <= 2 + len(sides) and shape in ([], channel_shape)
         expect_form(fits, f"a constant of shape {list(values.shape)} here")
-        name = (
-            f"{layer_list.prefix}{call.node.name}().{role}"  # no module's tensor has () in its name
-        )
+        # no module's tensor has () in its name
+        name = f"{layer_list.prefix}{call.node.name}().{role}"
         weights[role] = name
         layer_list.weights[name] = float_array(values.reshape(-1).expand(channels))
     return layer_list.add("batch_norm", call, [x], weights=weights, epsilon=0.0)

@@ -18,7 +18,7 @@ from torch import fx, nn
 from torch.fx.node import map_arg
 
 VALUE = "value"
-"""The name, in `meta` of a node, of its value without data. It is missing where it is not known."""
+"""The key of a value without data in its node's `meta`. It is missing if the value is not known."""
 
 WITHOUT_DATA = "meta"
 """Torch's device of tensors without data."""
@@ -29,7 +29,7 @@ class ShapedProxy(fx.Proxy):
 
     @property
     def value(self) -> Any:
-        """A tensor without data, or what else the node's value is; None if it is not known."""
+        """The node's value, a tensor without data or something else; None if it is not known."""
         return self.node.meta.get(VALUE)
 
     def __getattr__(self, name: str) -> Any:

@@ -1,4 +1,6 @@
-"""AEDAT files (`.aedat`) of jAER, version 2.0, and of cAER, version 3.1; `aedat4` reads version 4.
+"""AEDAT files (`.aedat`) of jAER, version 2.0, and of cAER, version 3.1.
+
+Version 4 is another format, which `read_aedat4` of `library_readers.py` reads.
 
 All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that begin with `#`, each
 ended by \\r\\n.

@@ -40,7 +40,7 @@ LISTS = {"Train": "trials_to_train.txt", "Test": "trials_to_test.txt"}
 """Part of a data set -> name of the file that lists its sessions."""
 
 TEXTS = (".csv", ".txt")
-"""Suffixes of recordings that notes have, too."""
+"""Suffixes that recordings share with notes."""
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def head_of(read: Reader, path: str) -> tuple[Any, Any]:
 
 
 def next_block() -> Any:
-    """The next events, mostly as columns; None at the end."""
+    """The next block that the reader yields; None at the end."""
     return next(_blocks, None)
 
 
@@ -338,11 +338,7 @@ def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
         if not isinstance(side, h5py.Dataset) or side.size != 1 or side.dtype.kind not in "iu":
             raise ValueError(f"{side.name} must be one whole number, got {side}")
     width, height = [int(side[()].item()) for side in sides]
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(
-            f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}"
-        )
-    return width, height
+    return _checked_sides("events/width and height", width, height)
 
 
 def _geometry(file: Any) -> tuple[int, int] | None:
@@ -353,4 +349,11 @@ def _geometry(file: Any) -> tuple[int, int] | None:
     if not isinstance(geometry, str):
         return None
     match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", geometry)
-    return (int(match[1]), int(match[2])) if match else None
+    return _checked_sides("`geometry`", int(match[1]), int(match[2])) if match else None
+
+
+def _checked_sides(names: str, width: int, height: int) -> tuple[int, int]:
+    """The sensor's sides, if they are those of a sensor; `names` says where the file has them."""
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ValueError(f"{names} must be in [1, {MAX_SIDE}], got {width} and {height}")
+    return width, height

@@ -314,7 +314,7 @@ class Recording:
         self._warn(DamagedRecording, f"{text}. Keeping the {n_kept} events before{until}.")
 
     def _warn(self, category: type[UserWarning], text: str) -> None:
-        """Warn, in the first pass that finds it."""
+        """Warn once of each category, however many passes find a reason to."""
         if category not in self._warned:
             self._warned.add(category)
             warnings.warn(text, category, stacklevel=5)

@@ -102,8 +102,8 @@ class Source(ABC):
     ----------
     sensor : (width, height) in pixels, or None where the file does not state it.
     format : the name of the file's format.
-    sensor_hint : what may be wrong where many events lie off the sensor, for messages, in which
-        names of parameters stand in braces; "" where nothing is known.
+    sensor_hint : what may be wrong if events lie off the sensor: the end of a message, in which
+        names of parameters stand in braces. "" if nothing is known.
     topics : all streams of messages in the file; empty for formats that have none.
     """
 
@@ -236,7 +236,7 @@ def is_text(line: bytes) -> bool:
 def gathered(blocks: Iterable[np.ndarray], n: int = BLOCK_EVENTS) -> Iterator[np.ndarray]:
     """The same events in larger blocks: each has at least `n` events, except the last one.
 
-    An error of `blocks` is raised after all events that came before it.
+    If `blocks` raises a `CorruptData`, it is raised here after all events that came before it.
     """
     waiting: list[np.ndarray] = []
     n_waiting = 0

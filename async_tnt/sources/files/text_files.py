@@ -334,9 +334,9 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
         n_comments += 1
     if n_comments == len(rows):  # no event in the first 64 KiB
         last = rows[-1] if rows else _Row("", 0, 0, 1)
-        expected = ",".join(CSV_ORDER)
-        columns = tuple(CSV_ORDER)
-        return TextSource(path, last.start, last.line, columns, ",", 1.0, expected, sensor)
+        order = options.columns or _usual_order(sensor)
+        names = _header_in(rows, len(order)) or list(order)
+        return _csv_source(path, last.start, last.line, names, ",", sensor)
 
     first = rows[n_comments]
     separator, words = _split(first.text)
@@ -363,9 +363,21 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
             )
         header = list(_order_without_header(path, rows, separator, options, sensor))
 
+    return _csv_source(path, start, first.line, header, separator, sensor)
+
+
+def _csv_source(
+    path: Path, start: int, line: int, header: list[str], separator: str, sensor: Sensor | None
+) -> Source:
+    """The source of rows whose columns the `header` names."""
     roles = _roles(path, header)
     expected = separator.join(header) + ", t in whole microseconds"
-    return TextSource(path, start, first.line, roles, separator, 1.0, expected, sensor)
+    return TextSource(path, start, line, roles, separator, 1.0, expected, sensor)
+
+
+def _usual_order(sensor: Sensor | None) -> str:
+    """The order of four columns without names; only Metavision's CSV states the sensor."""
+    return CSV_ORDER if sensor is None else METAVISION_ORDER
 
 
 def _header_in(comments: list[_Row], n_columns: int) -> list[str] | None:
@@ -415,8 +427,7 @@ def _order_without_header(
     ------
     SourceError : the numbers look like another order.
     """
-    usual_order = CSV_ORDER if sensor is None else METAVISION_ORDER
-    order = options.columns or usual_order
+    order = options.columns or _usual_order(sensor)
     table = _numbers(rows, separator)
     likely = order if table is None else likely_order(table, order)
     if likely != order:

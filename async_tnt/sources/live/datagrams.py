@@ -144,7 +144,8 @@ class Decoder:
             events.
         """
         n, n_bytes_left = divmod(len(data), self.event_bytes)
-        self.malformed += n_bytes_left > 0
+        if n_bytes_left > 0:
+            self.malformed += 1
         return self.decode_datagrams(np.frombuffer(data, np.uint8), [n], [arrival_us])
 
     def decode_datagrams(

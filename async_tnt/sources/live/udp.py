@@ -243,7 +243,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
                 n = receive_into(memory[filled:])
                 self._bytes += n
                 n_whole = n // size
-                self._cut += n_whole * size != n
+                if n_whole * size != n:
+                    self._cut += 1
                 filled += n_whole * size  # the next datagram goes behind the last whole event
                 ends.append(filled // size)
                 arrivals.append((now_ns() - self._started_ns) // 1000)

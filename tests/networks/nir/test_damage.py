@@ -21,6 +21,7 @@ from processes import started
 
 from async_tnt import Model, SpikingVolume
 from async_tnt.base import hdf5_content
+from async_tnt.networks.nir import graph as graph_module
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "30"))
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
@@ -174,6 +175,8 @@ def changed(node, **fields):
         ("conv", {"stride": np.array([-1, 1])}, r"`stride` must be .* from 1 on, got \[-1, 1\]"),
         ("conv", {"stride": np.array([np.inf, 1])}, r"stride must be 2 whole numbers, got \[inf"),
         ("conv", {"stride": np.array([1, 2, 3])}, r"stride must be 2 whole numbers, got \[1, 2"),
+        ("conv", {"stride": 1.5}, "stride must be 2 whole numbers, got 1.5"),
+        ("conv", {"groups": np.array(True)}, "groups must be numbers, got "),
         ("conv", {"dilation": 1 << 40}, "`dilation` must be a list of 2 whole numbers"),
         ("conv", {"padding": -1}, r"`padding` must be a list of 4 whole numbers from 0 on, got"),
         ("conv", {"padding": "all"}, "padding must be numbers, 'same' or 'valid', got 'all'"),
@@ -201,7 +204,8 @@ def changed(node, **fields):
         ("linear", {"type": None}, "node 'linear' has no type"),
         ("linear", {"type": 3}, "a name must be a text, got 3"),
         ("linear", {"type": b"\xff"}, r"a text must be UTF-8, got b'\\xff'"),
-        ("linear", {"type": "x" * 2000}, "a name has more than 1_000 characters"),
+        ("linear", {"type": "x" * 1000}, r"\(xxx.* has no meaning here"),
+        ("linear", {"type": "x" * 1001}, "a name has more than 1_000 characters"),
         ("flatten", {"start_dim": 1}, "a Flatten from 1 to -1, not of all axes"),
     ],
 )
@@ -255,7 +259,7 @@ def test_an_edge_written_twice_is_one():
     assert refusal(Fields(with_edges(("conv", "if"), ("conv", "if")))) is None
 
 
-@pytest.mark.parametrize("deep, is_read", [(3, True), (8, True), (20, False)])
+@pytest.mark.parametrize("deep, is_read", [(3, True), (8, True), (9, False)])
 def test_graphs_in_graphs(deep, is_read):
     graph = small_graph().to_dict()
     for _ in range(deep):
@@ -267,6 +271,27 @@ def test_graphs_in_graphs(deep, is_read):
         graph = {"type": "NIRGraph", "nodes": {**ends, "graph": graph}, "edges": edges}
     message = refusal(Fields(graph))
     assert message is None if is_read else "graphs lie in graphs more than 8 deep" in message
+
+
+@pytest.mark.parametrize("kind, n", [("Input", 2), ("Output", 0)])
+def test_a_graph_in_a_graph_has_one_way_in_and_one_out(kind, n):
+    """The outer graph's edges name the inner graph, and not its nodes."""
+    inner = small_graph().to_dict()
+    if n:
+        inner["nodes"]["second"] = inner["nodes"]["input"]
+    else:
+        del inner["nodes"]["output"]
+        inner["edges"] = [edge for edge in inner["edges"] if "output" not in edge]
+    outer = {"type": "NIRGraph", "nodes": {"graph": inner}, "edges": []}
+    assert f"the graph 'graph' must have one {kind}, got {n}" in refusal(Fields(outer))
+
+
+def test_the_most_nodes_of_a_graph(monkeypatch):
+    n_nodes = len(small_graph().nodes)
+    monkeypatch.setattr(graph_module, "MOST_NODES", n_nodes)
+    assert refusal(small_graph()) is None
+    monkeypatch.setattr(graph_module, "MOST_NODES", n_nodes - 1)
+    assert f"it has more than {n_nodes - 1} nodes" in refusal(small_graph())
 
 
 def test_two_nodes_of_one_name():

@@ -14,7 +14,7 @@ import pytest
 from networks.nir.random_graphs import RandomGraph
 from networks.random_spiking import random_spiking_model
 
-from async_tnt import Model, SpikingVolume, TNTConfig
+from async_tnt import Model, SpikingVolume, TNTConfig, load_model
 from async_tnt.networks import to_nir
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "100"))
@@ -191,6 +191,70 @@ def test_the_same_spikes(layers, tmp_path):
     for own, other in zip(spikes_of(model, 0), spikes_of(again, 0), strict=True):
         np.testing.assert_array_equal(other, own)
         assert own.any()
+
+
+def conv(weight, stride=(1, 1), padding=(0, 0, 0, 0)):
+    """A convolution of one pixel that reads the volume, and its weights."""
+    layer = {
+        "op": "conv",
+        "name": "conv",
+        "inputs": ["volume"],
+        "kernel": [1, 1],
+        "stride": list(stride),
+        "padding": list(padding),
+        "dilation": [1, 1],
+        "groups": 1,
+        "weights": {"weight": "w"},
+    }
+    return layer, np.array(weight, np.float32).reshape(1, 2, 1, 1)
+
+
+@pytest.mark.parametrize(
+    "how, n_channels",
+    [
+        ({"weight": [1, 1]}, 1),
+        ({"weight": [1, 0.5]}, 2),
+        ({"weight": [1, 1], "stride": [2, 2]}, 2),
+        ({"weight": [1, 1], "padding": [1, 1, 1, 1]}, 2),
+    ],
+    ids=str,
+)
+def test_an_input_of_one_channel_is_a_plain_sum_of_polarities(how, n_channels):
+    layer, weight = conv(**how)
+    one = np.ones(1, np.float32)
+    model = model_of([layer], w=weight, r=one, h=2.5 * one)
+    graph = to_nir(model)
+    (node,) = [node for node in graph.nodes.values() if isinstance(node, nir.Input)]
+    assert node.input_type["input"].tolist() == [n_channels, 4, 4]
+    again = Model.from_nir(graph, reset="subtract")
+    for own, other in zip(spikes_of(model, 0), spikes_of(again, 0), strict=True):
+        np.testing.assert_array_equal(other, own)
+        assert own.any()
+
+
+def test_an_input_of_one_channel_has_no_reader_beside_the_sum():
+    layer, weight = conv([1, 1])
+    other = {**layer, "name": "other", "weights": {"weight": "v"}}
+    one = np.ones(1, np.float32)
+    layers = [layer, other, add("sum", "conv", "other")]
+    model = model_of(layers, w=weight, v=0.5 * weight, r=one, h=2.5 * one)
+    again = Model.from_nir(to_nir(model), reset="subtract")
+    for own, other in zip(spikes_of(model, 0), spikes_of(again, 0), strict=True):
+        np.testing.assert_array_equal(other, own)
+
+
+@pytest.mark.parametrize(
+    "model", [lambda: model_of([scale("a", "volume")], s=0.75 * ONES), lambda: load_model("digits")]
+)
+def test_a_graph_shares_no_memory_with_its_model(model):
+    model = model()
+    before = {name: values.copy() for name, values in model.weights.items()}
+    for node in to_nir(model).nodes.values():
+        for values in vars(node).values():
+            if isinstance(values, np.ndarray):
+                values[...] = 7
+    for name, values in model.weights.items():
+        np.testing.assert_array_equal(values, before[name])
 
 
 def uneven(model):

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from networks.modules import EVEN_KERNEL
+from torch.nn import functional as F
 
 nir = pytest.importorskip("nir", reason="needs the extra `nir`")
 
 from async_tnt import Model, SpikingVolume, load_model  # noqa: E402
 from async_tnt.cli import main  # noqa: E402
+from async_tnt.networks import to_nir  # noqa: E402
 
 SHARED = Path(os.environ.get("TNT_DATA", Path(__file__).parents[4] / "shared" / "data")) / "nir"
 ONES = np.ones(2)
@@ -49,7 +52,10 @@ LIF = nir.LIF(tau=ONES, r=ONES, v_leak=0 * ONES, v_threshold=ONES)
             "`dt` is missing: a leaky neuron's input counts r dt",
         ),
         (dense(IF), {"reset": "zero"}, "`reset` must be subtract or value, got 'zero'"),
-        (dense(LIF), {"reset": "value", "dt": -1}, "`dt` must be a positive number, got -1"),
+        *(
+            (dense(LIF), {"reset": "value", "dt": dt}, f"`dt` must be a positive number, got {dt}")
+            for dt in (-1, 0, True, np.inf)
+        ),
         (
             dense(IF),
             {"reset": "value", "polarity": "on"},
@@ -62,6 +68,67 @@ LIF = nir.LIF(tau=ONES, r=ONES, v_leak=0 * ONES, v_threshold=ONES)
 def test_what_a_graph_leaves_open_is_asked_for(graph, settings, message):
     with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
         Model.from_nir(graph, **settings)
+
+
+CURRENT = {"tau_mem": ONES, "tau_syn": ONES, "r": ONES, "v_leak": 0 * ONES, "w_in": ONES}
+
+
+@pytest.mark.parametrize(
+    "neurons, needed",
+    [
+        (IF, {"reset"}),
+        (LIF, {"reset", "dt"}),
+        (nir.CubaLIF(**CURRENT, v_threshold=ONES), {"reset", "dt"}),
+        (nir.LI(tau=ONES, r=ONES, v_leak=0 * ONES), {"dt"}),
+        (nir.CubaLI(**CURRENT), {"dt"}),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_graph_leaves_open_what_its_kinds_of_neurons_need(neurons, needed):
+    everything = {"reset": "value", "dt": 1e-3}
+    for name in everything:
+        others = {other: value for other, value in everything.items() if other != name}
+        if name in needed:
+            with pytest.raises(TypeError, match=f"^`{name}` "):
+                Model.from_nir(dense(neurons), **others)
+        else:
+            assert Model.from_nir(dense(neurons), **others).is_spiking
+
+
+@pytest.mark.parametrize("graph", [dense(IF), to_nir(load_model("digits"))], ids=["IF", "ReLU"])
+def test_a_second_input_is_refused(graph):
+    (first,) = [node for node in graph.nodes.values() if isinstance(node, nir.Input)]
+    (reader,) = [target for source, target in graph.edges if source == "input"]
+    nodes = {**graph.nodes, "second": nir.Input(first.input_type)}
+    edges = [*graph.edges, ("second", reader)]
+    two = nir.NIRGraph(nodes, edges, metadata=graph.metadata, type_check=False)
+    reset = None if "activation" in graph.metadata else "subtract"
+    with pytest.raises(NotImplementedError, match=r"'second' \(Input\) must be the only one"):
+        Model.from_nir(two, reset=reset)
+
+
+def test_all_nodes_without_a_meaning_are_named_and_what_does_not_fit_behind_them_is_not():
+    graph = dense(nir.Delay(ONES), nir.I(ONES), IF)
+    with pytest.raises(NotImplementedError) as raised:
+        Model.from_nir(graph, reset="subtract")
+    delay, current = str(raised.value).split("; ")[:2]
+    assert "(Delay) has no meaning here" in delay
+    assert "(I) has no meaning here" in current
+
+    line = nir.Conv1d(4, np.ones((1, 2, 3)), 1, 0, 1, 1, np.zeros(1))
+    with pytest.raises(NotImplementedError, match=r"\(Delay\) has no meaning here"):
+        Model.from_nir(graph_of(nir.Delay(ONES), line, IF), reset="subtract")
+
+
+def test_nodes_that_the_output_does_not_need_are_left_out():
+    graph = dense(IF)
+    expected = Model.from_nir(graph, reset="subtract")
+    unread = {"unread": nir.Scale(np.ones((2, 3, 4)))}
+    edges = [*graph.edges, ("input", "unread")]
+    larger = nir.NIRGraph({**graph.nodes, **unread}, edges, type_check=False)
+    model = Model.from_nir(larger, reset="subtract")
+    assert model.network == expected.network
+    assert model.weights.keys() == expected.weights.keys()
 
 
 @pytest.mark.parametrize(
@@ -168,6 +235,63 @@ def test_a_convolution_along_a_line(padding, stride, dilation, groups):
         np.testing.assert_array_equal(impulse_of(graph, pixel, channel)[:, 0, :], expected)
 
 
+def membranes_of(node, side=1):
+    """Membranes after an ON event at (2, 3) of 5x6 pixels, and what torch has as its map."""
+    graph = graph_of(
+        node, nir.IF(r=np.ones(side), v_threshold=np.full(side, 99.0)), sides=(2, 6, 5)
+    )
+    volume = SpikingVolume(Model.from_nir(graph, reset="subtract", polarity="on_first"))
+    volume.open(0)
+    volume.update_one(5, 2, 3, 1)
+    events = torch.zeros(1, 2, 6, 5)
+    events[0, 0, 3, 2] = 1.0
+    return volume.membranes(), events
+
+
+@EVEN_KERNEL
+def test_the_padding_same_of_an_even_kernel_is_longer_at_the_end():
+    """As in torch. Such a graph is written as it was read."""
+    weight = np.arange(1.0, 17.0, dtype=np.float32).reshape(1, 2, 2, 4)
+    node = nir.Conv2d((6, 5), weight, 1, "same", 1, 1, np.zeros(1))
+    membranes, events = membranes_of(node)
+    expected = F.conv2d(events, torch.tensor(weight), padding="same")[0]
+    np.testing.assert_array_equal(membranes, expected.numpy())
+    model = Model.from_nir(
+        graph_of(node, nir.IF(ONES[:1], ONES[:1]), sides=(2, 6, 5)), reset="value"
+    )
+    (again,) = [one for one in to_nir(model).nodes.values() if isinstance(one, nir.Conv2d)]
+    assert again.padding == "same"
+
+    line = nir.Conv1d(9, weight[:, :, 0], 1, "same", 1, 1, np.zeros(1))
+    events = torch.zeros(1, 2, 9)
+    events[0, 0, 4] = 1.0
+    expected = F.conv1d(events, torch.tensor(weight[:, :, 0]), padding="same")[0]
+    neurons = nir.IF(ONES[:1], 99 * ONES[:1])
+    found = impulse_of(graph_of(line, neurons, sides=(2, 9)), 4, 0)
+    np.testing.assert_array_equal(found[:, 0], expected.numpy())
+
+
+@pytest.mark.parametrize("kind, divisor", [("SumPool2d", 1), ("AvgPool2d", None)])
+def test_the_padding_of_a_pool_has_rows_and_columns(kind, divisor):
+    node = getattr(nir, kind)(np.array([4, 2]), np.array([2, 1]), np.array([2, 0]))
+    membranes, events = membranes_of(node, 2)
+    expected = F.avg_pool2d(events, (4, 2), (2, 1), (2, 0), divisor_override=divisor)[0]
+    np.testing.assert_array_equal(membranes, expected.numpy())
+
+
+@pytest.mark.parametrize("end, sides", [(2, (2, 3, 4)), (1, (2, 12)), (0, (24,))])
+def test_a_flatten_may_name_its_last_axis(end, sides):
+    def graph(last_axis):
+        flatten = nir.Flatten({"input": np.array(sides)}, 0, last_axis)
+        return graph_of(flatten, nir.Linear(np.ones((2, 24))), IF, sides=sides)
+
+    model = Model.from_nir(graph(end), reset="value")
+    assert model.network == Model.from_nir(graph(-1), reset="value").network
+    for other in {0, 1, 2, 3} - {end}:
+        with pytest.raises(NotImplementedError, match=f"a Flatten from 0 to {other}, not of all"):
+            Model.from_nir(graph(other), reset="value")
+
+
 def test_an_input_without_polarity():
     """Both polarities of a pixel add 1 to the same number."""
     weight = np.array([[1.0, 2.0, 4.0], [8.0, 16.0, 32.0]])
@@ -194,6 +318,18 @@ def test_neurons_of_single_pixels():
         graph = graph_of(fires, *between, nir.Linear(weight), last, sides=(3,))
         assert impulse_of(graph, 1, 0).tolist() == [2.0, 16.0]
     assert impulse_of(graph, 2, 0).tolist() == [0.0, 0.0]
+
+
+def test_values_of_single_pixels_are_added():
+    nodes = {
+        "input": nir.Input({"input": np.array([3])}),
+        "scale": nir.Scale(np.array([1.0, 10.0, 100.0])),
+        "out": nir.IF(r=np.ones(3), v_threshold=np.full(3, 99.0)),
+        "output": nir.Output({"output": np.array([3])}),
+    }
+    edges = [("input", "scale"), ("scale", "out"), ("input", "out"), ("out", "output")]
+    graph = nir.NIRGraph(nodes, edges, type_check=False)
+    assert impulse_of(graph, 1, 0).tolist() == [0.0, 10.0 + 1.0, 0.0]
 
 
 @pytest.mark.parametrize(

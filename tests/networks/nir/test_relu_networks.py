@@ -208,6 +208,14 @@ def changed_node(name, **fields):
             "(IF): v_threshold must be 1 where a neuron stands for a ReLU; pass `reset`",
         ),
         (
+            lambda: changed_node("relu1", r=np.full((8, 34, 34), 2.0)),
+            "(IF): r must be 1 where a neuron stands for a ReLU; pass `reset`",
+        ),
+        (
+            lambda: changed_node("relu1", v_reset=np.full((8, 34, 34), -1.0)),
+            "(IF): v_reset must be 0 where a neuron stands for a ReLU; pass `reset`",
+        ),
+        (
             lambda: changed_node("input", input_type={"input": np.array([2, 34, 34])}),
             "(Input): its shape must be (9, 34, 34), as the graph's `config` says; got (2, 34, 34)",
         ),
@@ -216,6 +224,12 @@ def changed_node(name, **fields):
 def test_damaged_graphs(make, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         Model.from_nir(make())
+
+
+def test_neurons_stand_for_relus_where_the_metadata_say_relu():
+    graph = changed_metadata(activation="tanh")
+    with pytest.raises(TypeError, match=r"^`reset` must be subtract or value"):
+        Model.from_nir(graph)
 
 
 TEXTS = ('"a"', "[]", '["a", "b", "c"]', "{}", "null", "-1", "[[]]", "{", "1e999", "NaN", "x" * 99)

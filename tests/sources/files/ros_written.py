@@ -39,14 +39,16 @@ class Bag:
     path : a `.bag` is of ROS 1; `.db3` and `.mcap` are of ROS 2, whose folder and metadata are left
         out.
     compressed : compress chunks of ROS 1, or each message of ROS 2.
+    is_big : whether the numbers of ROS 2 begin with their highest byte.
     """
 
-    def __init__(self, path, compressed=False):
+    def __init__(self, path, compressed=False, is_big=False):
         pytest.importorskip("rosbags", reason="ROS bags need rosbags")
         from rosbags import rosbag1, rosbag2, typesys
 
         self.path = path
         self.is_ros_1 = path.suffix == ".bag"
+        self.is_big = is_big
         store = typesys.Stores.ROS1_NOETIC if self.is_ros_1 else typesys.Stores.ROS2_HUMBLE
         self.types = typesys.get_typestore(store)
         time = "time" if self.is_ros_1 else "builtin_interfaces/Time"
@@ -96,11 +98,23 @@ class Bag:
         key = topic, kind
         if key not in self._connections:
             self.connect(topic, kind)
+        self._write(self._connections[key], self.data_of(kind, *fields))
+
+    def data_of(self, kind, *fields):
+        """The bytes of a message of these fields."""
         message = self.types.types[kind](*fields)
-        serialize = self.types.serialize_ros1 if self.is_ros_1 else self.types.serialize_cdr
-        data = serialize(message, kind)
+        if self.is_ros_1:
+            return bytes(self.types.serialize_ros1(message, kind))
+        return bytes(self.types.serialize_cdr(message, kind, little_endian=not self.is_big))
+
+    def send_bytes(self, data):
+        """Write these bytes as a message of the only topic so far."""
+        (connection,) = self._connections.values()
+        self._write(connection, data)
+
+    def _write(self, connection, data):
         self._n_written += 1
-        self._writer.write(self._connections[key], STAMP_S * 10**9 + self._n_written, data)
+        self._writer.write(connection, STAMP_S * 10**9 + self._n_written, data)
 
     def packet(
         self,

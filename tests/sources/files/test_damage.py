@@ -208,6 +208,11 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ),
         (
             "a.aedat",
+            b"#!AER-DAT2.0\r\n# AEChip: davis346.Foo7\r\n",  # the last part is the camera's
+            "the camera must be one of DVS128, .*, got 'davis346.Foo7'",
+        ),
+        (
+            "a.aedat",
             b"#!AER-DAT3.1\r\n#Source 1: DVS128\r\n",
             "the header must end within 4096 lines by #!END-HEADER",
         ),
@@ -220,6 +225,12 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
             "as a bag of ROS 1, an SQLite or an MCAP file does, got b'.x89MCAP1",
         ),
         ("a.csv", b"%geometry:0,720\n1,2,1,7\n", "1 to 65536 pixels a side, got '%geometry:0,720'"),
+        (
+            "a.csv",
+            b"%geometry:" + b"9" * 5_000 + b",9\n1,2,1,7\n",
+            "1 to 65536 pixels a side, got '%geometry:9{70}'$",
+        ),
+        ("a.txt", b"0.5 1 2 1 9\n", "expected `t x y p`, .* got '0.5 1 2 1 9' at line 1"),
         # In these files the header is understood, but no event is.
         (
             "a.csv",
@@ -354,6 +365,13 @@ def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, 
     assert str(caught[0].message).endswith(f"Keeping the {n_events} events before{until}.")
     with pytest.raises(ValueError, match=rf"{message}.*\. Fetch the file again\.$"):
         open_recording(tmp_path / name, strict=True).read()
+
+
+def test_damage_before_the_first_event_of_a_part_names_no_time(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,p\n5,1,2,1\nwhat\n")
+    recording = open_recording(tmp_path / "a.csv", between_us=(7, 9))
+    with pytest.warns(DamagedRecording, match=r"\. Keeping the 0 events before\.$"):
+        assert len(recording.read()) == 0
 
 
 LONG = made_events(150_000, step_us=4, sensor=SMALL)

@@ -176,6 +176,13 @@ def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts
     )
 
 
+def test_the_davis_by_which_addresses_are_read_is_named_where_they_do_not_fit(tmp_path):
+    path = tmp_path / "a.aedat"
+    path.write_bytes(aedat2(made_events(50, sensor=(640, 480)), (640, 480), "", (640, 480)))
+    with pytest.raises(ValueError, match="addresses are read as those of a DAVIS346, as the heade"):
+        open_recording(path, sensor=(346, 260)).read()
+
+
 def test_addresses_of_cameras_by_hand(tmp_path):
     """The address (50, 20) is 50 from the right and 20 from the bottom.
 
@@ -320,7 +327,10 @@ def test_a_part_between_two_times_is_half_open(tmp_path):
         (200_000, 200_001, []),
     ):
         for pair in ((start, end), [start, end], np.array([start, end])):
-            assert open_recording(path, between_us=pair).read()["t"].tolist() == times
+            recording = open_recording(path, between_us=pair)
+            assert recording.read()["t"].tolist() == times
+            assert recording.between_us == (start, end)
+            assert all(type(t_us) is int for t_us in recording.between_us)
 
 
 def test_the_first_and_the_last_time_are_those_of_all_blocks(tmp_path):
@@ -342,6 +352,13 @@ def test_a_part_is_read_up_to_the_first_block_of_later_events(tmp_path, monkeypa
     (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
     recording = open_recording(tmp_path / "a.csv", between_us=(0, 10), strict=True)
     assert recording.read()["t"].tolist() == [1, 5, 3]
+
+
+@pytest.mark.parametrize("suffix", [".safetensors", ".ONNX", ".nir"])
+def test_a_model_is_named_as_one_where_a_recording_is_expected(tmp_path, suffix):
+    (tmp_path / f"a{suffix}").touch()
+    with pytest.raises(ValueError, match=rf"a\{suffix}: a model, .* and no recording$"):
+        open_recording(tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])

@@ -42,6 +42,7 @@ def replaced(path, **values):
             r"must have one dimension and equal lengths, got \[\(4,\), \(5,\)\]",
         ),
         ({"t": np.zeros(5)}, "must be whole numbers, got float64"),
+        ({"x": np.zeros(5, bool)}, "must be whole numbers, got uint32, bool, uint16, uint8"),
         ({"t_offset": np.zeros(2, int)}, r"`t_offset` must be one number, got shape \(2,\)"),
         (
             {"t_offset": np.int64(-(1 << 62))},
@@ -212,3 +213,23 @@ def test_one_side_alone_states_no_sensor(tmp_path):
     with h5py.File(tmp_path / "a.h5", "a") as file:
         del file["events/height"]
     assert next(read_hdf5(str(tmp_path / "a.h5"))) is None
+
+
+@pytest.mark.parametrize("dtype", ["i8", [("t", "i8"), ("x", "u2"), ("y", "u2"), ("on", "u1")]])
+def test_records_of_other_fields_are_refused(tmp_path, dtype):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["CD/events"] = np.zeros(5, dtype)
+    with pytest.raises(ValueError, match=r"CD/events must be records of t, x, y, p, got "):
+        next(read_hdf5(str(tmp_path / "a.h5")))
+
+
+def test_a_geometry_of_more_pixels_than_a_sensor_has_is_refused(tmp_path):
+    for side in (65_536, 65_537):
+        metavision(tmp_path / "a.h5", EVENTS, (34, side))
+        head = read_hdf5(str(tmp_path / "a.h5"))
+        if side == 65_536:
+            assert next(head) == (34, 65_536)
+            head.close()
+            continue
+        with pytest.raises(ValueError, match=r"^`geometry` must be in \[1, 65536\], got 34 and 6"):
+            next(head)

@@ -85,6 +85,16 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(
             COLUMNS | {"sensor": np.array([260, 2**40])},
             r"its array 'sensor' must be two integers .* in \[1, 65536\], got \[260",
         ),
+        *(
+            (COLUMNS | {"sensor": sensor}, rf"two integers .*, got shape \({shape}\) of {dtype}$")
+            for sensor, shape, dtype in (
+                (np.array([34.0, 34.0]), "2,", "float64"),
+                (np.array([34, 34, 34]), "3,", "int64"),
+                (np.array(34), "", "int64"),
+            )
+        ),
+        (COLUMNS | {"x": np.zeros((3, 1), np.uint16)}, "`x` must"),
+        (np.array(5), r"an \(N, 4\) array of those columns, got shape \(\) of int64"),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
         (np.zeros((5, 4)), "`t` must be integer microseconds, got float64"),
         (EVENTS.astype([("t", "i8"), ("x", "U5"), ("y", "u2"), ("p", "u1")]), "`x` must be whole"),

@@ -111,6 +111,9 @@ def test_a_pixel_that_no_sensor_has_is_left_out_wherever_a_file_can_say_it(tmp_p
                 match=f"1 of 10 events lies .*; it is event 7 at x = {pixel}, y = 2",
             ):
                 assert recording.read()["t"].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9]
+        # no sensor is given, which could be the wrong one
+        with pytest.raises(ValueError, match=f"it is event 7 at x = {pixel}, y = 2$"):
+            open_recording(tmp_path / name, off_sensor="raise").read()
 
 
 @pytest.mark.parametrize(

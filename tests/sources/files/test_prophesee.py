@@ -212,3 +212,36 @@ def test_a_dat_file_of_other_events_is_refused(tmp_path, kind, size):
     data = dat(EVENTS).replace(b"\x0c\x08", bytes([kind, size]), 1)
     with pytest.raises(ValueError, match=rf"events, 0 or 12, .* 8; got \[{kind}, {size}\]$"):
         read(tmp_path / "a.dat", data)
+
+
+def test_a_header_may_name_its_format_late_and_end_its_lines_with_a_return(tmp_path):
+    header = evt_header("3.0")
+    notes = b"".join(b"%% note %d\n" % k for k in range(100))
+    data = (notes + header).replace(b"\n", b"\r\n") + evt3(EVENTS)[len(header) :]
+    np.testing.assert_array_equal(read(tmp_path / "a.raw", data), EVENTS)
+
+
+@pytest.mark.parametrize(
+    ("line", "is_text"),
+    [
+        (b"% \xe9\xe9" + b"a" * 12, True),  # two bytes of sixteen: text in some other encoding
+        (b"% \xe9\xe9\xe9" + b"a" * 11, False),
+        ("% ééé".encode(), True),  # any number of them, where they are UTF-8
+        ("% 9\xa0V".encode(), True),
+        (b"% \x07" + b"a" * 13, False),
+    ],
+)
+def test_a_line_of_a_header_is_text_in_any_encoding(tmp_path, line, is_text):
+    data = line + b"\n" + dat(EVENTS)
+    if is_text:
+        np.testing.assert_array_equal(read(tmp_path / "a.dat", data), EVENTS)
+        return
+    with pytest.raises(ValueError, match="after the header there must be a type of events"):
+        read(tmp_path / "a.dat", data)
+
+
+def test_a_line_that_is_longer_than_any_header_is_no_line_of_it(tmp_path):
+    """Its bytes are words: an event before the first time, then times."""
+    data = b"% evt 3.0\n% " + b"a" * prophesee.MAX_HEADER_BYTES
+    with pytest.raises(ValueError, match="1 words of events have no time or no row"):
+        read(tmp_path / "a.raw", data)

@@ -3,6 +3,8 @@
 The laws of all formats hold for them, too.
 """
 
+import re
+
 import numpy as np
 import pytest
 from made import events_of
@@ -100,7 +102,7 @@ def test_libcaer_words_by_hand(tmp_path, name):
     """Each message has a time of its own: 2 us and 999 ns are 2 us."""
     words = [
         0x3805,  # before the first x, an event has no place
-        0x2007,  # x = 7
+        0x2807,  # x = 7; bit 11 says nothing
         0x3805,  # y = 5, ON, at the time base
         0x0001,  # TIME_HIGH 1
         0x1003,  # TIME_LOW 3
@@ -124,6 +126,30 @@ def test_libcaer_words_by_hand(tmp_path, name):
         (9_000, 1, 2, 0),
     ]
     assert open_recording(tmp_path / name).read().tolist() == expected
+
+
+@pytest.mark.parametrize("kind", [EVENT_PACKET, EVENT_ARRAY])
+def test_numbers_of_ros_2_may_begin_with_their_highest_byte(tmp_path, kind):
+    with Bag(tmp_path / "a.mcap", is_big=True) as bag:
+        if kind == EVENT_PACKET:
+            bag.packet(WORDS, SENSOR)
+        else:
+            bag.array(events_of(*zip(*IN_TIME, strict=True)), SENSOR)
+    recording = open_recording(tmp_path / "a.mcap")
+    assert recording.read().tolist() == IN_TIME and recording.sensor == SENSOR
+
+
+@pytest.mark.parametrize("first", [(0, 2), (1, 1), (0,), ()])
+def test_a_message_that_does_not_begin_as_cdr_is_damage(tmp_path, first):
+    with Bag(tmp_path / "a.mcap") as bag:
+        bag.packet(WORDS, SENSOR)
+        fields = bag.header(), 240, 320, 0, 0, "evt3", False, np.zeros(0, np.uint8)
+        data = bag.data_of(EVENT_PACKET, *fields)
+        bag.send_bytes(bytes(first) + (data[2:] if len(first) == 2 else b""))
+    recording = open_recording(tmp_path / "a.mcap")
+    message = f"message 1: it must begin as CDR, .* got {re.escape(str(list(first)))}"
+    with pytest.warns(DamagedRecording, match=message):
+        assert recording.read().tolist() == IN_TIME
 
 
 @every_bag
@@ -329,17 +355,18 @@ def test_any_path_will_do(tmp_path, name):
     ("name", "n_more", "is_refused"),
     [("a.bag", 1, True), ("a.mcap", 3, False), ("a.mcap", 4, True)],
 )
-def test_a_message_of_another_definition_is_refused(tmp_path, name, n_more, is_refused):
+@pytest.mark.parametrize("kind", [EVENT_PACKET, EVENT_ARRAY])
+def test_a_message_of_another_definition_is_refused(tmp_path, kind, name, n_more, is_refused):
     """Numbers in another order would be read as others; more bytes than fields show it. CDR may end
     with three bytes that say nothing."""
     with Bag(tmp_path / name) as bag:
-        fields = bag.header(), 240, 320, 0, 0, "evt3", False, np.zeros(0, np.uint8)
-        message = bag.types.types[EVENT_PACKET](*fields)
-        serialize = bag.types.serialize_ros1 if bag.is_ros_1 else bag.types.serialize_cdr
-        bag.packet(WORDS, SENSOR)
-        (connection,) = bag._connections.values()
-        data = bytes(serialize(message, EVENT_PACKET)) + bytes(n_more)
-        bag._writer.write(connection, 10**18 * 2, data)
+        if kind == EVENT_PACKET:
+            bag.packet(WORDS, SENSOR)
+            fields = (0, 0, "evt3", False, np.zeros(0, np.uint8))
+        else:
+            bag.array(events_of(*zip(*IN_TIME, strict=True)), SENSOR)
+            fields = ([],)
+        bag.send_bytes(bag.data_of(kind, bag.header(), 240, 320, *fields) + bytes(n_more))
     recording = open_recording(tmp_path / name)
     if not is_refused:
         assert recording.read().tolist() == IN_TIME
@@ -360,12 +387,9 @@ def test_a_message_that_is_cut_off_is_damage(tmp_path, name, share):
     """In its header, its numbers, or its words."""
     with Bag(tmp_path / name) as bag:
         bag.packet(WORDS, SENSOR)
-        (connection,) = bag._connections.values()
         fields = bag.header(), 240, 320, 0, 0, "evt3", False, np.zeros(90, np.uint8)
-        message = bag.types.types[EVENT_PACKET](*fields)
-        serialize = bag.types.serialize_ros1 if bag.is_ros_1 else bag.types.serialize_cdr
-        data = bytes(serialize(message, EVENT_PACKET))
-        bag._writer.write(connection, 10**18 * 2, data[: int(share * len(data))])
+        data = bag.data_of(EVENT_PACKET, *fields)
+        bag.send_bytes(data[: int(share * len(data))])
     recording = open_recording(tmp_path / name)
     with pytest.warns(DamagedRecording, match="after message 1: .*message 1: "):
         assert recording.read().tolist() == IN_TIME

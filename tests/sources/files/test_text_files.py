@@ -107,6 +107,7 @@ def test_a_row_that_no_event_can_be_is_damage(text, row):
         "t;x;y;p;a,b\n7;1;2;1;c,d\n",
         # a polarity without a line end is whole; another number may have lost digits
         "t,x,y,p\n7,1,2,1",
+        "t,x,y,p,name\n7,1,2,1,of a column that is skipped",
     ],
 )
 def test_csv_columns_are_found_by_name(text, content):
@@ -125,6 +126,8 @@ def test_a_line_with_the_geometry_is_the_sensor_and_says_that_the_columns_are_x_
     recording = text(name, "%geometry:1280,720\n" + METAVISION)
     assert recording.read().tolist() == IN_TIME
     assert (recording.sensor, recording.stated_sensor) == ((1280, 720), (1280, 720))
+    later = text(name, "t,x,y,p\n%geometry:1280,720\n7,1,2,1\n")  # it comes before all rows
+    assert later.sensor is None and later.read().tolist() == [(7, 1, 2, 1)]
     named = text(name, "% Geometry: 1280,720\nt,x,y,p\n7,1,2,1\n")  # names count more
     assert named.read().tolist() == [(7, 1, 2, 1)] and named.sensor == (1280, 720)
 
@@ -153,3 +156,22 @@ def test_a_row_that_is_cut_off_does_not_hide_the_order(text):
 def test_rows_that_are_all_at_the_beginning_are_read(text):
     """0 is the same in seconds and in microseconds."""
     assert text("a.txt", "0 1 2 1\n0 3 4 0\n").read().tolist() == [(0, 1, 2, 1), (0, 3, 4, 0)]
+
+
+COMMENTS = "# nothing yet\n" * 5_000
+
+
+@pytest.mark.parametrize(
+    ("head", "columns"), [("%geometry:1280,720\n", None), ("# y x p t\n", None), ("", "xypt")]
+)
+def test_the_order_of_columns_is_known_where_comments_fill_the_beginning(tmp_path, head, columns):
+    order = [0, 1] if "y x" not in head else [1, 0]
+    pixels = [(96, 133), (97, 134), (96, 133)]
+    rows = [
+        f"{pixel[order[0]]},{pixel[order[1]]},{p},{t}\n"
+        for pixel, (t, _, _, p) in zip(pixels, IN_TIME, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text(head + COMMENTS + "".join(rows))
+    recording = open_recording(tmp_path / "a.csv", columns=columns)
+    assert recording.read().tolist() == IN_TIME
+    assert recording.sensor == ((1280, 720) if "geometry" in head else None)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from sources.files.written import SENSOR, made_events, written
 
+from async_tnt.base.worker import Worker
 from async_tnt.sources.files import library_readers, ros_bags, worker_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import CorruptData
@@ -153,6 +154,35 @@ def test_the_first_stream_of_events_is_read_and_no_other(monkeypatch):
     assert [[column.tolist() for column in block] for block in blocks] == [
         [[t], [1], [2], [True]] for t in (5, 7)
     ]
+    left.dimensions = None
+    assert next(library_readers.read_aedat4("a.aedat4")) is None
+
+
+def test_no_worker_is_left_but_one_for_the_next_file(tmp_path, monkeypatch):
+    """Two loops at once need two; a loop that is left before its end ends its own."""
+    workers = []
+
+    class Noted(Worker):
+        def __init__(self):
+            super().__init__()
+            workers.append(self)
+
+    def running():
+        return [worker for worker in workers if worker.is_running]
+
+    monkeypatch.setattr(worker_source, "Worker", Noted)
+    monkeypatch.setattr(worker_source, "_idle", {})
+    path = tmp_path / "a.odd"
+    path.write_text("read end")
+    source = WorkerSource(path, misbehaving, "odd")
+    loops = [source.blocks(), source.blocks()]
+    assert [len(next(loop)) for loop in loops] == [2, 2] and len(running()) == 2
+    assert [list(loop) for loop in loops] == [[], []]
+    assert running() == list(worker_source._idle.values()) and len(running()) == 1
+    left = source.blocks()
+    next(left)
+    left.close()
+    assert running() == [] and worker_source._idle == {}
 
 
 def test_events_off_the_sensor_are_read_in_files_of_many_packets(tmp_path):
