@@ -8,8 +8,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from async_tnt.checking.comparison import PACKET_SIZES, Comparison
@@ -31,12 +29,15 @@ def check_spikes(
     """
     from tnt_reference.spiking import SpikingNetwork as Reference
 
+    from async_tnt.checking.reference import reference_windows
+
     network = SpikingNetwork(model)
-    leaks = any("tau" in layer.get("weights", {}) for layer in model.network[SPIKING])
+    # the time constants of a membrane
+    leaks = any({"tau", "tau_mem"} & layer.get("weights", {}).keys() for layer in model.layers)
     packets = Comparison("states that depend on packets", "the model", 0.0)
     spikes = Comparison("spikes against reference", "the model", 0.0)
     membranes = Comparison("membranes against reference", "the model", LEAK_BOUND if leaks else 0.0)
-    for window_start_us, window in _windows(events, model, start_us):
+    for window_start_us, window in reference_windows(events, model.config, start_us):
         states = [_state_after(network, window, window_start_us, size) for size in PACKET_SIZES]
         for state in states[1:]:
             packets.add(float(state != states[0]))
@@ -65,19 +66,6 @@ def check_spikes(
             ):
                 spikes.add(float(np.abs(own.reshape(-1) - wanted.numpy().reshape(-1)).max()))
     return [packets, spikes, membranes]
-
-
-def _windows(
-    events: np.ndarray, model: Model, start_us: int | None
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the start and the events of each window that has events."""
-    first_us = int(events["t"][0]) if start_us is None else start_us
-    numbers = (events["t"].astype(np.int64) - first_us) // model.config.window_us
-    newest = np.maximum.accumulate(numbers)
-    for number in np.unique(newest):
-        # an event of an earlier window is late, and left out
-        is_inside = (newest == number) & (numbers == number)
-        yield first_us + int(number) * model.config.window_us, events[is_inside]
 
 
 def _state_after(

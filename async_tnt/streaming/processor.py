@@ -124,8 +124,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         open windows, call `reset()`, and use these events. "raise": raise a ValueError before any
         event of the packet is used. `async_tnt.streaming.restarts` says how a restart is told from
         late events.
-
-    keep_neurons : of a spiking model, whether neurons go on from window to window, see
+    keep_neurons : whether the neurons of a spiking model go on from window to window, see
         `SpikingVolume`. By default each window begins with neurons at rest.
 
     A copy continues the stream, bit for bit, and so does a pickle. `every_us`, `every_events`,
@@ -336,41 +335,47 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         return windows.oldest, windows.oldest.start_us
 
     def _take_watched(self, columns: Columns, decisions: list[AnswerT]) -> list[AnswerT]:
-        """Add checked events. If the first event is late, first look for a restart."""
+        """Add checked events. If the first event is late, first look for restarts."""
         if self._decoder.first_us >= self._late_before_us:
             return self._absorb(self._decoder.apply_policy(columns), decisions)
-        watch = self._restarts
-        first = watch.look(columns, self._newest_us, self._windows.oldest.n_arrived)
-        if first is not None:
-            return self._begin_again(columns, first, decisions)
+        first = self._look(columns)
+        # the clock may begin again several times in one packet
+        while first is not None:
+            columns = self._begin_again(columns, first, decisions)
+            first = self._look(columns)
         self._absorb(self._decoder.apply_policy(columns), decisions)
-        watch.note(self._newest_us, self._windows.oldest.n_arrived)
+        self._restarts.note(self._newest_us, self._windows.oldest.n_arrived)
         return decisions
+
+    def _look(self, columns: Columns) -> int | None:
+        """The event of the packet with which a new stream begins, see `RestartWatch.look`."""
+        return self._restarts.look(columns, self._newest_us, self._windows.oldest.n_arrived)
 
     def _look_at_late(self, t: int, x: int, y: int, p: int, decisions: list[AnswerT]) -> None:
         """Check whether the clock has begun again at an event that has been counted as late."""
         columns = self._decoder.decode_one(t, x, y, p, False)
-        first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_arrived)
+        first = self._look(columns)
         if first is not None:
-            self._begin_again(columns, first, decisions)
+            columns = self._begin_again(columns, first, decisions)
+            self._absorb(self._decoder.apply_policy(columns), decisions)
 
     @property
     def _newest_us(self) -> int:
         """Time of the stream's newest event so far; -1 if there was none."""
         return max(self._stream_time_us, self._windows.oldest.newest_us)
 
-    def _begin_again(self, columns: Columns, first: int, decisions: list[AnswerT]) -> list[AnswerT]:
-        """End the stream, and begin another one.
+    def _begin_again(self, columns: Columns, first: int, decisions: list[AnswerT]) -> Columns:
+        """End the stream, and begin another one with the packets that waited.
 
-        The new stream begins with the packets that waited, then the event `first` of `columns`.
+        Returns the events from `first` on, with which the new stream goes on.
         """
         waiting = self._restarts.waiting
         self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)), decisions)
         self._finish(decisions)
         self._reset()
-        for packet in (*waiting, part_of(columns, first, columns.n)):
+        for packet in waiting:
             self._absorb(self._decoder.apply_policy(packet), decisions)
-        return decisions
+        return part_of(columns, first, columns.n)
 
     def _absorb(self, columns: Columns, decisions: list[AnswerT]) -> list[AnswerT]:
         """Add checked events, and append the decisions that became due."""
@@ -720,8 +725,9 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         settings = self._triggers.settings
         overlap = self._windows.overlap
         # With one volume that takes late events, single events go to the volume without the
-        # decoder. `_direct_volume` is this volume, or None if single events need the decoder.
-        needs_no_decoder = not overlap and self._accepts_late
+        # decoder, unless all events are looked at for restarts. `_direct_volume` is this volume,
+        # or None if single events need the decoder.
+        needs_no_decoder = not overlap and self._accepts_late and not self._restarts.looks_at_all
         self._direct_volume: TNTVolume | None = self._windows.oldest if needs_no_decoder else None
         self._decides_by_event = settings.by_event
         # With overlap and `every_us`, time passes for several windows at once, which the compiled

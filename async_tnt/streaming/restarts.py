@@ -90,7 +90,9 @@ class RestartWatch:
         self._last_use = (newest_us, n_events)
         t = columns.t[: columns.n]
         begins_behind = t.item(0) < newest_us - self._behind_us
-        if self._has_warned or not (self.looks_at_all or begins_behind):
+        # a packet of several events may have late ones behind its first
+        is_looked_at = begins_behind or (self.looks_at_all and columns.n > 1)
+        if self._has_warned or not is_looked_at:
             self.waiting = []
             return None
 

@@ -82,9 +82,9 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
 
 
 def once_in_its_length(config: TNTConfig) -> dict[str, Any]:
-    """Settings by which a window that slides decides once in its length; None for other windows.
+    """Settings with which a window that slides decides once in its length.
 
-    It has no end at which to decide.
+    Such a window has no end at which to decide. For other windows both settings are None.
     """
     return {"every_us": config.last_us, "every_events": config.last_events}
 

@@ -162,7 +162,7 @@ class WindowClassifier:
         shape = reader.shape
         places = getattr(classifier, "places", None) or even_places(shape, self._config.sensor)
         config = self._config
-        # of the last events nobody knows how long they take
+        # a window of the last events has no length in time
         memory_us = WINDOW_US if config.last_events is not None else config.window_us
         tracks = new_tracks(places, shape, memory_us)
         # The numbering goes on, so that no number is given twice in a stream.

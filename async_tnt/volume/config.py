@@ -86,7 +86,7 @@ class TNTConfig:
         transform and on the sensor's own grid, because counts of events can be taken back exactly.
         With `last_us`, representation "volume" counts events in slices of time: `bins` slices of
         `last_us / bins`, counted from the stream's start. The last one has begun, and the window
-        advances when the next one begins. An event is in one slice, without weights.
+        advances when the next one begins. Each event is in one slice: it is not shared by two.
     t_max : TNT time at the end of a window. Positions are divided by TNT time, so an object shrinks
         by this factor until the window's end. A smaller value loses fewer events over the border
         early in the window.
@@ -406,7 +406,7 @@ class TNTConfig:
 def with_an_end(config: TNTConfig) -> TNTConfig:
     """The configuration of a window that does not slide, and is as long.
 
-    Given the events of a window that slides, it holds the same, unless that has slices.
+    Given the events of a window that slides, its volume is the same, unless that has slices.
     """
     if not config.slides:
         return config

@@ -24,8 +24,8 @@ from async_tnt.volume.state import new_state, next_epoch
 
 UNOPENED = -1
 """LIMIT_US while no window is open. The time of every event is at or after this number."""
-COUNTED = (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED)
-"""Slots of the buffer that count events since the volume was made."""
+COUNTED = (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED, S.LEFT_EARLY)
+"""Slots of the buffer that count events since the volume was made or reset."""
 
 
 class TNTVolume:
@@ -359,19 +359,19 @@ class TNTVolume:
 
     @property
     def n_events(self) -> int:
-        """Events in the open window so far; of a window that slides, those that are in it now."""
+        """Events in the open window so far. If it slides, those that have left it do not count."""
         return int(self._ints[S.RING_N if self.config.slides else S.N])
 
     @property
     def n_arrived(self) -> int:
-        """Events that have come into the window since it opened, with those that have left it."""
+        """Events that have come into the window since it opened, including those that left it."""
         return int(self._ints[S.N])
 
     @property
     def n_left_early(self) -> int:
-        """Events that left a window of `last_us` early, as it was full, since the volume was made.
+        """How many events have left a window of `last_us` early because it was full.
 
-        See `volume.config.MAX_LAST_EVENTS`.
+        They are counted since the volume was made or reset. See `volume.config.MAX_LAST_EVENTS`.
         """
         return int(self._ints[S.LEFT_EARLY])
 

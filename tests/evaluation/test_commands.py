@@ -142,8 +142,10 @@ def test_the_moments_of_windows_shorter_than_fifty_microseconds_lie_within_them(
     assert moments(config) == [5, 10, 15, *[20] * 7]
 
 
-def decided(time_us, trigger="every_us", start_us=0):
-    return SimpleNamespace(time_us=time_us, trigger=trigger, window_start_us=start_us, events=7)
+def decided(time_us, trigger="every_us", start_us=0, events=7):
+    return SimpleNamespace(
+        time_us=time_us, trigger=trigger, window_start_us=start_us, events=events
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,6 +173,12 @@ def decided(time_us, trigger="every_us", start_us=0):
             TNTConfig(representation="count", last_events=7),
             [(3, "every_events", 1), (102, "every_events", 9), (102, "end", 9)],
             [(1, 1), (9, 1)],
+        ),
+        # events of one time: each decision counts, and the end if the window has grown
+        (
+            TNTConfig(representation="count", last_events=7),
+            [(3, "every_events", 1), (3, "every_events", 2), (3, "end", 2, 6)],
+            [(1, 1), (2, 1), (2, 1)],
         ),
     ],
 )

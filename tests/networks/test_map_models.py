@@ -250,6 +250,31 @@ def test_scores_and_peaks_follow_the_map(seed, script):
         assert_rows(rows, expected_rows(logits, model.places))
 
 
+@pytest.mark.parametrize("columns", [(63, 64), (64, 63), (127, 128), (128, 127)], ids=str)
+def test_a_peak_ends_where_a_neighbour_grows_larger(columns):
+    """Also if the two lie in different words of 64 columns.
+
+    A place has as many events as its pixel, and `nothing` counts half an event.
+    """
+    config = CONFIG.replace(
+        sensor=(130, 3), grid=(130, 3), representation="count", bins=None, polarity="unsigned"
+    )
+    layer = {"op": "conv", "name": "map", "inputs": ["volume"], "groups": 1}
+    layer |= {"kernel": [1, 1], "stride": [1, 1], "padding": [0] * 4, "dilation": [1, 1]}
+    layer["weights"] = {"weight": "w", "bias": "b"}
+    weights = {"w": np.array([1.0, 0.0]).reshape(2, 1, 1, 1), "b": np.array([0.0, 0.5])}
+    model = Model(config, weights, ["a"], network={"classifier": [layer]})
+    processor = Processor(model, every_events=1)
+    first, second = columns
+    found = []
+    for t, x in enumerate((first, second, second, first, first)):
+        (decision,) = processor.push_one(t, x, 1, 1)
+        found.append([round(one.x) for one in decision.objects])
+    # of two places with as many events the left one is the peak, and the object lies between them
+    middle = round((first + second) / 2)
+    assert found == [[first], [middle], [second], [middle], [first]]
+
+
 def test_fire_and_copies_leave_the_stream_as_it_is():
     model = map_model()
     events = random_events(1500, seed=3, sensor=CONFIG.sensor, duration_us=9000)
@@ -347,6 +372,16 @@ def test_no_number_is_given_again_by_another_classifier():
         if t == 1:
             processor.classifier = OneObject()
     assert ids == [0, 0, 1]
+
+
+def test_maps_may_change_their_shape_from_decision_to_decision():
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40))
+    finder = OneObject()
+    processor = Processor(config, classifier=finder, classes=["a"])
+    for side, place in ((10, 21.5), (20, 10.5), (10, 21.5)):
+        finder.logits_shape = 2, side, side
+        (found,) = processor.fire().objects
+        assert (found.x, found.y) == pytest.approx((place, place))
 
 
 WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsigned")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from async_tnt import Model, Processor, SpikingVolume, TNTConfig
+from async_tnt.base.box import Box
 
 CONFIG = TNTConfig(sensor=(4, 3), grid=(4, 3), representation="count", window_us=1_000_000)
 
@@ -198,8 +199,8 @@ def test_events_before_the_window_have_no_effect():
 def test_spikes_go_through_convolution_pool_and_sum():
     """An ON event at (1, 1) of 4x3 pixels. The convolution doubles it, to the right neighbour too.
 
-    Each neuron above .5 fires: 2 and 1 are 3 spikes and 1, of thresholds .5. The pool sums 2x2
-    places, so its first column has 3, and its second one 1.
+    Each neuron above .5 fires: 2 and 1 are 3 spikes and 1, of thresholds .5. The pool sums 3x2
+    places, so its first column has 4, and its second one none.
     """
     kernel = np.zeros((1, 2, 1, 2))
     kernel[0, 0, 0] = 1.0, 2.0  # what lies to the right counts 2
@@ -229,6 +230,8 @@ def test_spikes_go_through_convolution_pool_and_sum():
     )
     assert volume.spikes("hidden") == 4
     assert volume.spike_counts().tolist() == [5, 0] and volume.membranes().tolist() == [0.25, 0.0]
+    # a filter at two places; then two classes, for the pool's first column
+    assert (volume.additions("hidden"), volume.additions()) == (2, 2)
 
 
 @pytest.mark.parametrize("keep, expected", [(False, [1.0, 0.25]), (True, [1.5, 1.0])])
@@ -274,9 +277,14 @@ def test_raw_outputs_are_spikes_membranes_and_first_times():
     assert output["membranes"].tolist() == [1.0, 0.5]
     assert output["first_spike_us"].tolist() == [700.0, -1.0]
     assert not any(array.flags.writeable for array in output.arrays)
+    assert output.changed == (Box(0, 0, 1, 1),) * 3
 
 
 def test_a_huge_number_of_spikes_leaves_nothing():
     volume = volume_of(dense_model(integrate("subtract", [1e-9, 1.0]), on=(1e6, 0.0)))
     counts, membranes = push(volume, (10, 1))
     assert counts[0] > 9e14 and membranes == [0.0, 0.0]
+    # more than a whole number of 64 bits holds: the sum of all spikes takes it for 2**31
+    volume = volume_of(dense_model(integrate("subtract", [1e-9, 1.0]), on=(1e38, 0.0)))
+    counts, membranes = push(volume, (10, 1))
+    assert counts[0] > 9e46 and membranes == [0.0, 0.0] and volume.spikes() == 1 << 31

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from made import events_of, random_events, random_model
+from made import events_of, random_events, random_model, random_regressor_model
+from networks.random_spiking import random_spiking_model
 from tnt_reference import LayerNetwork
 from torch import nn
 
@@ -18,12 +19,13 @@ from async_tnt import (
     CompiledClassifier,
     Model,
     Processor,
+    SpikingVolume,
     TNTConfig,
     TNTVolume,
     load_model,
 )
 from async_tnt.checking.comparison import Comparison
-from async_tnt.checking.equality import check_recording
+from async_tnt.checking.equality import check_recording, n_steps
 from async_tnt.networks.torch.from_torch import layers_from_torch
 from async_tnt.networks.torch.operations import HeatmapCentroid
 from async_tnt.sources.files.nmnist import read_nmnist
@@ -238,6 +240,128 @@ def test_it_says_no_to_each_promise_that_is_broken_and_to_no_other(broken, monke
     assert what_fails() == set()
     broken(monkeypatch)
     assert what_fails() == {BROKEN[broken]}
+
+
+def finds_landmarks_a_thousandth_beside(monkeypatch):
+    landmark = TNTVolume.landmark.fget
+    monkeypatch.setattr(
+        TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), (0, 1e-3))))
+    )
+
+
+def test_it_says_no_to_a_landmark_of_a_network_that_is_wrong(monkeypatch):
+    config = TNTConfig(bins=2, landmark="regressor", t_max=2.0)
+    model = random_regressor_model(config, widths=(3, 4, 5), regressor_widths=(3, 3, 3))
+    events = random_events(100, duration_us=90_000)
+    steps = []
+
+    def what_fails():
+        comparisons = check_recording(
+            events, model, prefixes=2, on_progress=lambda: steps.append(1)
+        )
+        return {(c.what, c.config) for c in comparisons if not c.holds}
+
+    assert what_fails() == set() and len(steps) == n_steps(model)
+    finds_landmarks_a_thousandth_beside(monkeypatch)
+    assert ("landmark against reference, px", "regressor") in what_fails()
+
+
+def loses_events_of_volumes(monkeypatch, kind, is_lost):
+    """Packets lose the events for which `is_lost(packet)` is True."""
+    update = kind.update
+    monkeypatch.setattr(kind, "update", lambda self, events: update(self, events[~is_lost(events)]))
+
+
+def of_long_packets(events):
+    return np.arange(len(events)) >= 50
+
+
+def of_the_second_row(events):
+    return events["y"] == 1
+
+
+def scales(name, factor):
+    """A break by which an array of a `SpikingVolume` is too large."""
+
+    def broken(monkeypatch):
+        method = getattr(SpikingVolume, name)
+        monkeypatch.setattr(
+            SpikingVolume, name, lambda self, *given: np.float64(factor) * method(self, *given)
+        )
+
+    return broken
+
+
+BROKEN_SLIDING = [
+    (
+        lambda monkeypatch: loses_events_of_volumes(monkeypatch, TNTVolume, of_long_packets),
+        "volumes that depend on packets",
+    ),
+    (
+        lambda monkeypatch: loses_events_of_volumes(monkeypatch, TNTVolume, of_the_second_row),
+        "volume against reference",
+    ),
+    (decides_otherwise_than_the_whole_network, "bits that depend on earlier decisions"),
+]
+BROKEN_SPIKES = [
+    (
+        lambda monkeypatch: loses_events_of_volumes(monkeypatch, SpikingVolume, of_long_packets),
+        "states that depend on packets",
+    ),
+    (scales("spikes", 2), "spikes against reference"),
+    (scales("spike_counts", 2), "spikes against reference"),
+    (scales("first_spikes_us", 2), "spikes against reference"),
+    # of these neurons some leak, and have a bound
+    (scales("membranes", 1 + 1e-8), "membranes against reference"),
+]
+
+
+def check_breaks(model, events, broken, what, monkeypatch, **settings):
+    """Check that a break breaks one promise and no other, and that all steps are counted."""
+    n_done = []
+
+    def what_fails():
+        comparisons = check_recording(
+            events, model, prefixes=6, on_progress=lambda: n_done.append(1), **settings
+        )
+        return {c.what for c in comparisons if not c.holds}
+
+    assert what_fails() == set() and len(n_done) == n_steps(model) == 1
+    broken(monkeypatch)
+    assert what_fails() == {what}
+
+
+@pytest.mark.parametrize(("broken", "what"), BROKEN_SLIDING)
+def test_it_says_no_to_each_broken_promise_of_a_window_that_slides(broken, what, monkeypatch):
+    config = TNTConfig(representation="count", polarity="signed", last_us=30_000)
+    model = random_model(config, widths=(3, 4, 5))
+    events = random_events(150, duration_us=200_000)
+    check_breaks(model, events, broken, what, monkeypatch)
+
+
+@pytest.mark.parametrize(("broken", "what"), BROKEN_SPIKES)
+def test_it_says_no_to_each_broken_promise_of_a_spiking_network(broken, what, monkeypatch):
+    """Among the events are late ones, in the window and before it, and before the start."""
+    model = random_spiking_model(9)
+    window_us = model.config.window_us
+    events = random_events(120, duration_us=2 * window_us, sensor=model.config.sensor)
+    events["t"][20:110:9] -= np.minimum(events["t"][20:110:9], window_us // 3)
+    check_breaks(model, events, broken, what, monkeypatch, start_us=window_us // 8)
+
+
+@pytest.mark.parametrize("op", ["lif", "cuba_lif"])
+def test_neurons_that_leak_hold_within_a_bound(op):
+    model = random_spiking_model(0, ops=(op,))
+    events = random_events(60, duration_us=model.config.window_us, sensor=model.config.sensor)
+    membranes = check_recording(events, model, prefixes=4)[-1]
+    assert membranes.what.startswith("membranes") and membranes.holds and membranes.bound == 1e-9
+
+
+def test_neurons_that_do_not_leak_are_equal_to_the_bit(monkeypatch):
+    model = random_spiking_model(3, ops=("if",))
+    events = random_events(150, duration_us=model.config.window_us, sensor=model.config.sensor)
+    broken = scales("membranes", 1 + 1e-12)
+    check_breaks(model, events, broken, "membranes against reference", monkeypatch)
 
 
 @pytest.mark.parametrize(

@@ -55,13 +55,19 @@ finder = Processor(load_model("digits-everywhere"), every_events=1)
 finder.push(columns), finder.fire()
 """,
     "warmup_for_a_model_and_for_a_configuration": """
-warmup(MODELS["regressor"])
-before = ready()
-stream_all(MODELS["regressor"])
-missed = ready() - before
+of_function = {"classifier": lambda volume: [0.0]}
 warmup(TNTConfig(landmark="window"))
+before = ready()
+stream_all(TNTConfig(landmark="window"), **of_function)
+missed = ready() - before
+warmup(TNTConfig(landmark="regressor"))
+before = ready()
+stream_all(TNTConfig(landmark="regressor"), regressor=lambda raw: (1.0, 2.0), **of_function)
+missed |= ready() - before
+warmup(MODELS["regressor"])
 before = ready() - missed
-stream_all(TNTConfig(landmark="window"), classifier=lambda volume: [0.0])
+stream_all(MODELS["regressor"])
+CompiledClassifier(MODELS["regressor"])(np.zeros(MODELS["regressor"].config.shape))
 """,
     "a_processor_is_made": """
 other = {"classifier": lambda volume: [0.0], "classes": ("a",)}

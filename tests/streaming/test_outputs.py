@@ -174,6 +174,19 @@ def test_a_stream_makes_few_copies_of_a_long_packet(monkeypatch):
     assert len(EVENTS) > PIECE
 
 
+def test_a_stream_drops_counts_and_refuses_late_events_as_a_push_does():
+    events = EVENTS.copy()
+    events["t"][7::9] = np.maximum(0, events["t"][7::9] - 300)
+    pushed = Processor(MODEL, late="drop")
+    streamed = Processor(MODEL, late="drop")
+    expected = [*map(key, pushed.push(events))]
+    expected += map(key, pushed.finish())
+    assert [key(output) for output in stream([events], streamed)] == expected
+    assert streamed.counts == pushed.counts and pushed.counts.dropped_late > 0
+    with pytest.raises(ValueError, match=r"must not run backwards \(late=\"raise\"\)"):
+        list(stream([events], MODEL, late="raise"))
+
+
 def test_an_asynchronous_stream_yields_the_same():
     import asyncio
 
@@ -262,21 +275,36 @@ def test_what_needs_classes_is_refused_in_one_line():
 def test_as_text_and_as_values():
     config = CONFIG.replace(sensor=(4, 2), grid=(4, 2), bins=1, transform="none")
     output = Output(
-        (np.float32([[[0, 1], [2, -3]]]), np.float32([np.nan, 1])),
-        ("flow", "speed"),
-        (Box(0, 1, 2, 2), Box(0, 0, 1, 1)),
+        (
+            np.float32([[[0, 1], [2, -3]]]),
+            np.float32([np.nan, 1]),
+            np.float32([2**24, 1, -(2**24)]),
+        ),
+        ("flow", "speed", "total"),
+        (Box(0, 1, 2, 2), Box(0, 0, 1, 1), Box(0, 0, 1, 1)),
         100,
         150,
         7,
-        False,
-        "fire",
+        True,
+        "window",
     )
-    assert repr(output) == ("Output(flow 1x2x2, speed 2, trigger='fire', time_us=150, events=7)")
+    assert repr(output) == (
+        "Output(flow 1x2x2, speed 2, total 3, trigger='window', time_us=150, events=7)"
+    )
     values = output.to_dict()
     flow = {"shape": [1, 2, 2], "least": -3.0, "mean": 0.0, "largest": 2.0}
     assert values["outputs"]["flow"] == flow | {"changed": [0, 1, 2, 2]}
     assert values["outputs"]["speed"]["least"] is None
-    assert (values["time_us"], values["events"], values["trigger"]) == (150, 7, "fire")
+    # a sum of float32 would lose the 1
+    assert values["outputs"]["total"]["mean"] == 0.333333
+    del values["outputs"]
+    assert values == {
+        "time_us": 150,
+        "window_start_us": 100,
+        "events": 7,
+        "complete": True,
+        "trigger": "window",
+    }
     with pytest.raises(KeyError, match="no output 'depth': there are flow, speed"):
         output["depth"]
     assert warmup(raw_model(config)) >= 0

@@ -8,19 +8,22 @@ import re
 import numpy as np
 import pytest
 from deciding import CONFIG, at, key, total_and_size
-from made import random_model
+from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, Processor, TNTVolume, load_model, warmup
 from async_tnt.sources import open_recording, sample_recordings
+from async_tnt.streaming.decision import class_of_recording
 
 BY_3 = CONFIG.replace(window_events=3)
 
 
 def test_decision_carries_logits_probabilities_and_label():
     processor = Processor(
-        CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"]
+        CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"], start_us=70
     )
-    processor.push(at([5]))
+    empty = processor.fire()
+    assert (empty.window_start_us, empty.time_us, empty.events) == (70, 70, 0)
+    processor.push(at([75]))
     decision = processor.fire()
     assert (decision.label, decision.index, decision.complete) == ("dog", 1, False)
     assert decision.probabilities == pytest.approx([0.25, 0.75])
@@ -207,6 +210,42 @@ def test_a_model_may_be_given_by_its_name_or_path(tmp_path):
         TNTVolume(model)
 
 
+class Doubtful(CompiledClassifier):
+    """A compiled classifier that changes its answers."""
+
+    def __call__(self, volume):
+        return 0 * super().__call__(volume)
+
+
+def test_a_subclass_of_the_compiled_classifier_is_called_for_its_answers():
+    processor = Processor(CONFIG, classifier=Doubtful(random_model(CONFIG)), every_events=2)
+    (decision,) = processor.push(at([5, 9]))
+    assert not decision.logits.any() and not processor.fire().logits.any()
+
+
+def test_what_is_passed_beside_a_model_takes_the_place_of_its_own():
+    model = random_regressor_model(CONFIG, classes=2)
+    processor = Processor(model, classes=["cat", "dog"], regressor=lambda raw: (3.0, 4.0))
+    processor.push(at([5, 9]))
+    assert processor.landmark == (3.0, 4.0) and processor.classes == ("cat", "dog")
+    assert processor.fire().label in ("cat", "dog")
+    # an answer about the window does not depend on the sensor's size
+    larger = CONFIG.replace(sensor=(68, 68))
+    Processor(larger, classifier=CompiledClassifier(random_model(CONFIG))).push(at([5]))
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "expected"),
+    [
+        ([[0.1, 0.9], [0.8, 0.2], [0.75, 0.25]], ("cat", "mean probability 0.550 of 3 windows")),
+        ([[0.1, 0.9], [0.6, 0.4]], ("dog", "mean probability 0.650 of 2 windows")),
+        ([[0.25, 0.75]], ("dog", "mean probability 0.750 of 1 window")),
+    ],
+)
+def test_the_class_of_a_recording_is_the_likeliest_on_average(probabilities, expected):
+    assert class_of_recording(["cat", "dog"], np.array(probabilities)) == expected
+
+
 @pytest.mark.parametrize(
     ("config", "name", "longest"),
     [
@@ -254,7 +293,15 @@ def test_the_repr_of_a_decision_is_short():
     )
     two = Processor(CONFIG, classifier=lambda volume: [0.0, 0.0], classes=["a", "b"]).fire()
     assert repr(two).endswith("likeliest={0: 0.500, 1: 0.500})")
-    for n, shown in ((0, "[]"), (1, "['a' at (15.0, 15.0)]"), (5, ", 2 more]")):
+    # of classes that are as likely as each other, the first
+    alike = Processor(CONFIG, classifier=lambda volume: np.arange(1000) % 2 * 50.0).fire()
+    assert repr(alike).endswith("likeliest={1: 0.002, 3: 0.002, 5: 0.002})")
+    for n, shown in (
+        (0, "[]"),
+        (1, "['a' at (15.0, 15.0)]"),
+        (4, ", 1 more]"),
+        (5, ", 2 more]"),
+    ):
         found = np.zeros((2, 34, 34), np.float32)
         found[1] = 1
         found[0, 15 : 15 + 3 * n : 3, 15] = 2

@@ -133,6 +133,9 @@ def test_astream_and_push_warn_too():
         ([0] * 31 + [250_000] + [0] * 31, False),  # one event of the old clock ends a row
         ([149_999] * 32, True),
         ([150_000] * 32, False),  # late, but only by the jitter of a driver
+        # back within the open window
+        ([390_000] + [210_000] * 31, False),
+        ([390_000] + [210_000] * 32, True),
     ],
 )
 @pytest.mark.parametrize("way", ["packet", "packets of 7", "single events"])
@@ -190,6 +193,40 @@ def test_a_new_stream_begins_with_the_first_event_of_its_row(packets, n_new, lat
         n = len(times)
         processor.push(events_of(times, [1] * n, [1] * n, [1] * n))
     assert processor.counts.received == n_new
+
+
+@pytest.mark.parametrize("settings", [{}, {"late": "drop"}, {"every_events": 7}], ids=str)
+@pytest.mark.parametrize("size", [0, 1, 45, 333, 10_000])
+def test_any_number_of_restarts_in_any_packets(size, settings):
+    """Each part of the source is a stream of its own, with rows of late events that are short."""
+    rng = np.random.default_rng(0)
+    parts = []
+    for _ in range(6):
+        times = rng.integers(200_000, 300_000) + np.cumsum(rng.integers(2_000, 4_000, 130))
+        times[100:115] = 1_000
+        n = len(times)
+        parts.append(events_of(times, rng.integers(0, 34, n), [7] * n, [1] * n))
+    expected = []
+    for part in parts:
+        alone = Processor(LONG, classifier=total_and_size, **settings)
+        expected += [key(d) for d in alone.push(part) + alone.finish()]
+
+    processor = Processor(LONG, classifier=total_and_size, on_restart="reset", **settings)
+    source = np.concatenate(parts)
+    packets = packets_of(source, size) if size else singles(source)
+    decisions = [d for packet in packets for d in processor.push(packet)] + processor.finish()
+    assert [key(d) for d in decisions] == expected
+    assert processor.counts == alone.counts
+
+
+def test_after_an_error_a_row_is_counted_anew():
+    processor = Processor(LONG, classifier=total_and_size, on_restart="raise")
+    processor.push(events_of([0, 250_000], [1, 1], [1, 1], [1, 1]))
+    for _ in range(2):
+        for _ in range(31):
+            processor.push_one(0, 1, 1, 1)
+        with pytest.raises(ValueError, match=WARNING):
+            processor.push_one(0, 1, 1, 1)
 
 
 def test_windows_shorter_than_the_limit_are_the_limit():

@@ -8,7 +8,7 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 from deciding import key
-from made import opened, random_events, random_model
+from made import opened, random_events, random_model, raw_model
 
 from async_tnt import Processor, TNTConfig, astream, stream, volumes
 from async_tnt.streaming.streams import Settings
@@ -61,6 +61,31 @@ def test_a_source_of_the_other_kind_is_refused_at_the_call():
         astream([], MODEL)
     with pytest.raises(FileNotFoundError, match="no model file digitz"):
         stream([EVENTS], "digitz")
+
+
+def test_a_source_may_have_items_alone(expected):
+    """An object with `__getitem__`, and without `__iter__`, is an iterable of Python's."""
+
+    class Packets:
+        def __getitem__(self, k):
+            return [EVENTS[:150], EVENTS[150:]][k]
+
+    assert keys(stream(Packets(), MODEL)) == expected
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda source: stream(source, MODEL),
+        lambda source: stream(source, raw_model(MODEL.config)),
+        lambda source: volumes(source, MODEL.config),
+    ],
+    ids=["decisions", "outputs", "volumes"],
+)
+def test_an_event_of_a_larger_camera_is_told_what_helps(use):
+    message = r"got 34 at event 1; `PixelFilter` cuts a part out of a larger camera's image$"
+    with pytest.raises(ValueError, match=message):
+        list(use([([1, 2], [3, 34], [5, 6], [0, 1])]))
 
 
 def test_astream_equals_stream(expected):

@@ -92,7 +92,7 @@ OUT_OF_RANGE = [
     ("y", "<i2", [260, -1]),
     ("p", "u1", [2, 255]),
     ("p", "<u2", [2, 256, 65535]),
-    ("p", "<i2", [2, 256, -2, -255]),
+    ("p", "<i2", [2, 255, 256, -2, -255]),  # 255 is -1 in one byte
     ("p", "<u8", [2, 2**64 - 1]),  # 2**64 - 1 is not -1
 ]
 
@@ -194,6 +194,9 @@ Timeless = namedtuple("Timeless", "x y p when")
 WRONG_FORMS = [
     (np.zeros((5, 4)), TypeError, NO_EVENTS + f"a plain array of shape (5, 4){ORDER}"),
     (np.zeros((5, 3)), TypeError, NO_EVENTS + "a plain array of shape (5, 3)"),
+    (np.zeros(4), TypeError, NO_EVENTS + "a plain array of shape (4,)"),
+    # columns with names, but no way to read one
+    (SimpleNamespace(columns=["t", "x", "y", "p"]), TypeError, NO_EVENTS + "SimpleNamespace"),
     (
         {"t": T, "x": X, "y": Y},
         ValueError,
@@ -214,6 +217,7 @@ WRONG_FORMS = [
         "Use tensor.detach().numpy() instead.",
     ),
     ((T, X, Y), ValueError, FOUR + "3"),
+    (((5, 1, 2, 0),) * 3, ValueError, FOUR + "3"),
     (
         Timeless(X, Y, P, T),
         ValueError,

@@ -291,7 +291,8 @@ def test_years_and_months():
             match=rf"^`t` must be durations of a fixed length, got timedelta64\[{unit}\]",
         ):
             as_events((t.view(f"m8[{unit}]"), *one), SENSOR)
-        for far in (2**40, 2**62, -(2**62)):
+        # the last one is just beyond int64 microseconds
+        for far in (2**40, 2**62, -(2**62), {"Y": 292_300, "M": 12 * 292_300}[unit]):
             with pytest.raises(
                 ValueError, match=rf"^`t` must be in .*, got {far} {unit} at event 0$"
             ):
@@ -366,6 +367,14 @@ def test_plain_arrays_whose_order_is_stated(order):
                 event_columns(table, wrong)
 
 
+def test_the_order_of_a_plain_array_with_signed_polarities_can_be_seen():
+    signed = [1, -1, -1, 1, 1, -1, 1]
+    table = np.stack([X, Y, signed, sorted(T)], axis=1)
+    assert_decoded(event_columns(table, "xypt"), [sorted(T), X, Y, [1, 0, 0, 1, 1, 0, 1]])
+    with pytest.raises(ValueError, match=r"^the columns are not 'txyp'; they look like 'xypt'$"):
+        event_columns(table, "txyp")
+
+
 def test_unsorted_times_and_small_ones_are_not_taken_for_another_order():
     for t, x in ((T, X), ([3, 5, 9], [30, 20, 33]), ([900, 300, 500], [7, 7, 7]), ([], [])):
         table = np.stack([t, x, x, [1] * len(t)], axis=1)
@@ -391,6 +400,11 @@ def test_plain_arrays_that_are_refused():
             np.float32([[2**24, 2, 3, 1]]),
             "txyp",
             "`t` must be whole numbers, as float32 below 16777216, got 1.*",
+        ),
+        (
+            np.float32([[-(2**24), 2, 3, 1]]),
+            "txyp",
+            "`t` must be whole numbers, as float32 below 16777216, got -1.*",
         ),
         (
             [["a", "b", "c", "d"]],

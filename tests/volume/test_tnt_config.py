@@ -16,6 +16,13 @@ CELLS = (
     "`grid` and `bins` must give at most 268_435_456 cells, got {:_} "
     "(a program may raise async_tnt.volume.config.MAX_CELLS)"
 )
+MOST = {
+    "bins": 1024,
+    "window_events": 1 << 30,
+    "window_us": 3_600_000_000,
+    "last_events": 1 << 20,
+    "last_us": 3_600_000_000,
+}
 WRONG = [
     *[
         ({"sensor": v}, TypeError, f"`sensor` must be two whole numbers (width, height), got {v!r}")
@@ -51,7 +58,7 @@ WRONG = [
     ],
     *[
         ({name: v}, ValueError, f"`{name}` must be in [1, {most}], got {v}")
-        for name, most in (("bins", 1024), ("window_events", 1 << 30), ("window_us", 3_600_000_000))
+        for name, most in MOST.items()
         for v in (0, most + 1)
     ],
     (
@@ -123,6 +130,8 @@ def test_the_limits_themselves_are_allowed_and_a_program_may_raise_that_of_cells
     assert TNTConfig(bins=1).shape == (1, 34, 34)
     assert TNTConfig(window_us=1, t_max=1e-6) != TNTConfig(window_us=3600 * 10**6, t_max=1e6)
     assert TNTConfig(grid=(1023, 1023), bins=255).channels == 255  # 2**28 cells
+    assert TNTConfig(representation="count", last_events=1 << 20).last_events == 1 << 20
+    assert TNTConfig(representation="count", last_us=3_600_000_000).last_us == 3_600_000_000
     monkeypatch.setattr("async_tnt.volume.config.MAX_CELLS", 1 << 30)
     assert TNTConfig(grid=(1023, 1023), bins=1023).channels == 1023
 
@@ -131,6 +140,9 @@ def test_defaults_that_depend_on_the_representation_and_the_windows():
     image = TNTConfig(representation="count_time")
     assert (image.bins, image.polarity, image.transform) == (2, "split", "none")
     assert image.shape == (4, 34, 34)
+    for landmark in ("window", "regressor"):
+        assert TNTConfig(landmark=landmark).needs_replay
+        assert not TNTConfig(landmark=landmark, transform="none").needs_replay
     five_bins = TNTConfig(bins=5, polarity="unsigned")
     assert five_bins.replace(representation="mean_time").shape == (2, 34, 34)
     assert image.replace(representation="volume") == TNTConfig()

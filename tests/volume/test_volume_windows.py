@@ -100,6 +100,8 @@ def test_what_is_refused():
         ValueError, match=r"`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"
     ):
         _ = TNTVolume(CONFIG).flow
+    with pytest.raises(ValueError, match=r"`flow` needs .*, got landmark='line', transform='none'"):
+        _ = TNTVolume(CONFIG.replace(landmark="line", transform="none")).flow
 
 
 def test_the_replay_buffer_grows_and_loses_nothing():
