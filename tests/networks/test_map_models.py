@@ -250,6 +250,28 @@ def test_scores_and_peaks_follow_the_map(seed, script):
         assert_rows(rows, expected_rows(logits, model.places))
 
 
+@pytest.mark.parametrize("x", [10, 63, 64, 127, 128])
+def test_a_peak_ends_where_a_larger_score_comes_beside_it(x):
+    """Peaks are stored in words of 64 columns, and the places beside each other may lie in two.
+
+    The score of a place is its number of events. One event makes a peak. Two events beside it make
+    a larger one, and then the first is none. The position is the mean of both.
+    """
+    config = TNTConfig(sensor=(140, 5), grid=(140, 5), representation="count", polarity="unsigned")
+    net = nn.Conv2d(1, 2, 1, bias=False)
+    with torch.no_grad():
+        net.weight[:, 0, 0, 0] = torch.tensor([1.0, 0.0])
+    processor = Processor(Model.from_torch(net, config, ["a"]))
+    for dx, dy in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)]:
+        processor.reset()
+        processor.push((10, x, 2, 1))
+        (first,) = processor.fire().objects
+        assert (first.x, first.y) == (x, 2)
+        processor.push(([20, 30], [x + dx] * 2, [2 + dy] * 2, [1, 1]))
+        (second,) = processor.fire().objects
+        assert (second.x, second.y) == pytest.approx((x + dx * 2 / 3, 2 + dy * 2 / 3))
+
+
 def test_fire_and_copies_leave_the_stream_as_it_is():
     model = map_model()
     events = random_events(1500, seed=3, sensor=CONFIG.sensor, duration_us=9000)
