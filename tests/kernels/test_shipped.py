@@ -147,6 +147,9 @@ def test_any_change_of_a_file_of_kernels_is_noticed(tmp_path, monkeypatch):
         {"jit.py": "a"},
         {"jit.py": "a", "network/splat.py": ""},
         {"jit.py": "ab", "network/splat.py": ""},
+        # one file that has the name and the content of another in it
+        {"jit.py": "", "tiles.py": "b"},
+        {"jit.py": "tiles.py\nb"},
         {"jit.py": "a", "network/splat.py": "b", "network/deep/one.py": ""},
     ]
 
