@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from async_tnt.kernels import ship, shipped, target
+from async_tnt.kernels import jit, ship, shipped, target
 from async_tnt.kernels.target import GENERIC, KINDS, chosen_kind, settings_for
 
 MAKE = """
@@ -162,6 +162,37 @@ def test_code_that_cannot_be_read_is_compiled(use, tmp_path):
     shipped.write_file(tmp_path / f"{chosen_kind()}.code", {name: b"not what Numba writes"})
     compiled, (best, _), _ = use(tmp_path)
     assert (compiled, best) == (True, "1")
+
+
+def test_any_change_of_a_file_of_kernels_is_noticed(tmp_path, monkeypatch):
+    """Compiled code is stored under this digest, in the package and in Numba's cache."""
+    trees = [
+        {"jit.py": "a", "network/splat.py": "b"},
+        {"jit.py": "c", "network/splat.py": "b"},
+        {"jit.py": "a", "network/splat.py": "c"},
+        {"jit.py": "a", "network/tiles.py": "b"},
+        {"jit.py": "a", "volume/splat.py": "b"},
+        {"jit.py": "a", "splat.py": "b"},
+        {"jit.py": "a"},
+        {"jit.py": "a", "network/splat.py": ""},
+        {"jit.py": "ab", "network/splat.py": ""},
+        # one file that has the name and the content of another in it
+        {"jit.py": "", "tiles.py": "b"},
+        {"jit.py": "tiles.py\nb"},
+        {"jit.py": "a", "network/splat.py": "b", "network/deep/one.py": ""},
+    ]
+
+    def digest(tree, folder):
+        for name, text in tree.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text)
+        monkeypatch.setattr(jit, "__file__", str(folder / "jit.py"))
+        return jit.sources_digest()
+
+    digests = [digest(tree, tmp_path / str(k)) for k, tree in enumerate(trees)]
+    assert len(set(digests)) == len(trees)
+    # neither where the files lie nor in which order they were written
+    assert digest(dict(reversed(trees[0].items())), tmp_path / "elsewhere") == digests[0]
 
 
 @pytest.mark.parametrize(

@@ -221,6 +221,47 @@ def test_other_spellings_of_torch_compute_the_same(name):
     check_torch_layers(body, layers_from_torch(body, CONFIG.shape), CONFIG.shape)
 
 
+NUMBER_BY_NUMBER = {
+    "relu": F.relu,
+    "leaky relu": lambda h: F.leaky_relu(h, 0.3),
+    "absolute": torch.abs,
+    "clip": lambda h: h.clamp(-0.5, 0.25),
+    "hardtanh": F.hardtanh,
+    "relu6": F.relu6,
+    "softshrink": lambda h: F.softshrink(h, 0.25),
+    "logarithm": lambda h: torch.log1p(h.relu()),
+    "sigmoid": torch.sigmoid,
+    "tanh": torch.tanh,
+    "silu": F.silu,
+    "gelu": F.gelu,
+    "gelu by tanh": lambda h: F.gelu(h, approximate="tanh"),
+    "error function": torch.erf,
+    "hardswish": F.hardswish,
+    "hardsigmoid": F.hardsigmoid,
+    "square": lambda h: h * h,
+    "sum": lambda h: h + h.relu(),
+    "difference": lambda h: h - h.relu(),
+    "negative": lambda h: -h,
+    "part": lambda h: h / 3,
+    "dropout": nn.Dropout(),
+    "dropout of channels": nn.Dropout2d(),
+    "identity": nn.Identity(),
+    "contiguous": lambda h: h.contiguous(),
+    "clone": lambda h: h.clone(),
+}
+
+
+@pytest.mark.parametrize("name", NUMBER_BY_NUMBER)
+def test_what_is_done_with_each_number_may_be_done_with_the_channels_last(name):
+    body = Body(lambda m, h: m.function(last(h)).permute(0, 3, 1, 2))
+    plain = Body(lambda m, h: m.function(h))
+    body.function = plain.function = NUMBER_BY_NUMBER[name]
+    found = layers_from_torch(body.eval(), CONFIG.shape)
+    expected = layers_from_torch(plain.eval(), CONFIG.shape)
+    check_torch_layers(body, found, CONFIG.shape)
+    assert [layer["op"] for layer in found.layers] == [layer["op"] for layer in expected.layers]
+
+
 def test_a_shuffle_by_hand():
     """Four groups of two: the first of each, then the second of each."""
     model = Model.from_torch(nn.Sequential(nn.ChannelShuffle(2)), CONFIG)

@@ -301,6 +301,27 @@ def test_spikes_are_counted_by_window_though_neurons_go_on():
         Processor("digits", keep_neurons=True)
 
 
+@pytest.mark.parametrize("keep, second_us", [(False, 1_000_030), (True, 1_000_020)])
+def test_each_window_has_its_own_spikes_additions_and_first_times(keep, second_us):
+    """The first neuron spikes in the first window alone, and the second one in the next.
+
+    It does so sooner if the membrane of .5 that is left of the first window is kept.
+    """
+    volume = SpikingVolume(dense_model(integrate("subtract")), keep_neurons=keep)
+
+    def seen():
+        counts = volume.spike_counts().tolist()
+        return volume.spikes(), volume.additions(), counts, volume.first_spikes_us().tolist()
+
+    volume.open(0)
+    push(volume, (10, 1), (20, 1))
+    assert seen() == (1, 4, [1, 0], [20, -1])
+    volume.open(1_000_000)
+    assert seen() == (0, 0, [0, 0], [-1, -1])
+    push(volume, (1_000_010, 0), (1_000_020, 0), (1_000_030, 0))
+    assert seen() == (1, 6, [0, 1], [-1, second_us])
+
+
 def test_a_tie_of_spikes_is_decided_by_the_membrane():
     model = dense_model(integrate("subtract"), on=(1.25, 1.5))
     (decision,) = Processor(model, every_events=1, start_us=0).push((10, 1, 2, 1))

@@ -100,6 +100,40 @@ def assert_equal(own, expected, leaks, where):
             np.testing.assert_array_equal(found.view(np.int64), right.view(np.int64), place)
 
 
+def test_where_rounding_leaves_more_than_the_threshold_there_is_one_more_spike():
+    """An event adds the product r w, which is n h + 2^-23 for the threshold h and n spikes.
+
+    The quotient of both is rounded to n, so that its formula has n - 1 spikes.
+    """
+    r = 16541121.0
+    w = 10639287.0 / 2**16
+    h = 12732511.0 / 2**23
+    n = 1769185505.0
+    assert r * w - (n - 1) * h > h and np.ceil(r * w / h) - 1 == n - 1
+    layers = [
+        {"op": "flatten", "name": "flat", "inputs": ["volume"]},
+        {"op": "dense", "name": "fc", "inputs": ["flat"], "weights": {"weight": "w"}},
+        {
+            "op": "if",
+            "name": "out",
+            "inputs": ["fc"],
+            "reset": "subtract",
+            "weights": {"r": "r", "v_threshold": "h"},
+        },
+    ]
+    shape = (2, *CONFIG.shape[-2:])
+    weights = {
+        "w": np.full((2, np.prod(shape)), w, np.float32),
+        "r": np.full(2, r, np.float32),
+        "h": np.float32([h, 1e30]),
+    }
+    model = Model(CONFIG, weights, ["a", "b"], network={"spiking": layers})
+    reference = compare_at_every_event(model, np.array([[10, 1, 2, 1]]), ())
+    assert reference.counts.flatten().tolist() == [n, 0]
+    assert reference.spikes == {"out": n}
+    assert reference.membranes["out"].flatten().tolist() == [2.0**-23, r * w]
+
+
 ALL = ("if", "lif", "cuba_lif", "threshold")
 
 

@@ -63,13 +63,16 @@ BAD = [
     (dict(polarity="both"), ValueError, r"must be one of signed, unsigned, split, got 'both'"),
     (dict(dtype=torch.int64), TypeError, r"`dtype` must be a floating-point type, got torch.int64"),
     (dict(t_max=0), ValueError, r"`t_max` must be positive and finite, got 0"),
+    (dict(t_max=-1), ValueError, r"`t_max` must be positive and finite, got -1"),
     (dict(t_max=float("nan")), ValueError, r"`t_max` must be positive and finite, got nan"),
+    (dict(t_max=float("inf")), ValueError, r"`t_max` must be positive and finite, got inf"),
     (
         dict(landmark=(1, 2, 3)),
         ValueError,
         r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)",
     ),
     (dict(landmark=(1, float("nan"))), ValueError, r"`landmark` must be finite, got NaN"),
+    (dict(landmark=(float("inf"), 1)), ValueError, r"`landmark` must be finite, got "),
     (dict(landmark="middle"), ValueError, r"`landmark` must be one of center, running, line, win"),
     (dict(landmark="regressor"), ValueError, r"landmark 'regressor' needs a network"),
     (

@@ -5,6 +5,7 @@ import torch
 from tnt_reference import (
     Classifier,
     LandmarkRegressor,
+    LayerNetwork,
     Pipeline,
     event_volume,
     landmark,
@@ -130,6 +131,37 @@ def test_what_a_pipeline_gives_has_the_form_and_type_of_its_classifier():
     assert [tensor.shape[0] for tensor in both] == [2, 2]
     classifier = Classifier(5, (12, 10)).double()
     assert Pipeline(classifier, **SETTINGS).volume(*window()).dtype == torch.float64
+
+
+def test_training_changes_all_weights_of_layers_but_means_and_variances():
+    layers = [
+        {
+            "op": "batch_norm",
+            "name": "norm",
+            "inputs": ["volume"],
+            "epsilon": 1e-5,
+            "weights": {role: role for role in ("mean", "variance", "weight", "bias")},
+        },
+        {"op": "prelu", "name": "bends", "inputs": ["norm"], "weights": {"slope": "slope"}},
+        {
+            "op": "conv",
+            "name": "conv",
+            "inputs": ["bends"],
+            "stride": (1, 1),
+            "padding": (0, 0, 0, 0),
+            "dilation": (1, 1),
+            "groups": 1,
+            "weights": {"weight": "kernel", "bias": "added"},
+        },
+    ]
+    tensors = {name: torch.rand(3) + 0.5 for name in ("mean", "variance", "weight", "bias")}
+    tensors |= {"slope": torch.rand(3), "kernel": torch.rand(2, 3, 2, 2), "added": torch.rand(2)}
+    network = LayerNetwork(layers, tensors).train()
+    step = torch.optim.SGD(network.parameters(), lr=0.1)
+    network(torch.randn(2, 3, 4, 5)).square().sum().backward()
+    step.step()
+    unchanged = [name for name, given in tensors.items() if network.tensors[name].equal(given)]
+    assert unchanged == ["mean", "variance"]
 
 
 def test_the_line_of_many_events_is_that_of_each_prefix():

@@ -25,6 +25,11 @@ def rewrite(path, tensors, metadata, **description):
     path.write_bytes(tensor_bytes(tensors, metadata))
 
 
+def without_windows(counts, entry):
+    assert len(counts) == 5
+    return np.where(np.arange(5) == entry, 0, counts)
+
+
 @pytest.fixture
 def file(tmp_path, taught):
     path = taught.save(tmp_path / "m.safetensors")
@@ -65,7 +70,22 @@ def test_a_wrong_description(file, description, message):
     ("name", "change", "message"),
     [
         ("counts", lambda one: one[:-1], "statistics' means must be of shape"),
-        ("counts", lambda one: one * 0, "statistics must be of at least one window"),
+        # of the first class, of the taught one, and of windows that show no class
+        (
+            "counts",
+            lambda one: without_windows(one, 0),
+            "statistics must be of at least one window",
+        ),
+        (
+            "counts",
+            lambda one: without_windows(one, 3),
+            "statistics must be of at least one window",
+        ),
+        (
+            "counts",
+            lambda one: without_windows(one, 4),
+            "statistics must be of at least one window",
+        ),
         ("counts", lambda one: one.astype(np.float32), "numbers of another type"),
         ("means", lambda one: one[:, :-1], "statistics' means must be of shape"),
         ("means", lambda one: one * np.nan, "statistics must be finite numbers"),
