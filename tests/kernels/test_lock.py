@@ -1,16 +1,32 @@
 """Python's lock: other threads run while much is computed; for little it is kept."""
 
 import ast
+import itertools
 import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
-from made import random_events, random_model
+from made import opened, random_events, random_model, raw_model
+from networks.random_spiking import CONFIG, random_spiking_model
 
-from async_tnt import CompiledClassifier, Processor, TNTVolume, kernels
+from async_tnt import (
+    CompiledClassifier,
+    CompiledNetwork,
+    Model,
+    Processor,
+    SpikingVolume,
+    TNTConfig,
+    TNTVolume,
+    kernels,
+)
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.network.forward import forward
+from async_tnt.kernels.sources.pixels import RECORD_BYTES, count_events, keep_events
+from async_tnt.networks.layers.program import make_program
 from async_tnt.volume.events import EventDecoder
 
 
@@ -59,6 +75,70 @@ def others_run_during(compute) -> bool:
     finally:
         sys.setswitchinterval(interval)
         other.join()
+
+
+LARGE_SENSOR = TNTConfig(sensor=(200, 150), grid=(200, 150), transform="none")
+
+
+def whole_passes():
+    model = raw_model(LARGE_SENSOR)
+    arrays = make_program(model.network["classifier"], LARGE_SENSOR.shape, model.weights).arrays
+
+    def compute():
+        arrays.program[P.STALE] = 1
+        forward(*arrays)
+
+    return compute
+
+
+def raw_outputs():
+    """Of two volumes in turn: each time all of the network is computed."""
+    network = CompiledNetwork(raw_model(LARGE_SENSOR))
+    events = random_events(5_000, duration_us=9_000, sensor=LARGE_SENSOR.sensor)
+    volumes = itertools.cycle([opened(LARGE_SENSOR, events), opened(LARGE_SENSOR, events)])
+    return lambda: network.refresh(next(volumes))
+
+
+def objects():
+    conv = {"op": "conv", "name": "map", "inputs": ["volume"], "weights": {"weight": "w"}}
+    sides = {"kernel": [3, 3], "stride": [1, 1], "padding": [1] * 4, "dilation": [1, 1]}
+    weights = {"w": np.random.default_rng(0).normal(size=(2, LARGE_SENSOR.channels, 3, 3))}
+    network = {"classifier": [{**conv, **sides, "groups": 1}]}
+    model = Model(LARGE_SENSOR, weights, ["a"], network=network)
+    classifier = CompiledClassifier(model)
+    tracks = Processor(model)._classifier._tracks
+    events = random_events(5_000, duration_us=9_000, sensor=LARGE_SENSOR.sensor)
+    volumes = itertools.cycle([opened(LARGE_SENSOR, events), opened(LARGE_SENSOR, events)])
+    return lambda: classifier.locate(next(volumes), tracks, 0, False)
+
+
+def filtering():
+    n = 50 * LARGE
+    columns = EventDecoder((34, 34)).decode(random_events(n))
+    verdicts = np.zeros((34, 34), np.uint8)
+    records = np.empty(RECORD_BYTES * n, np.uint8)
+    return lambda: keep_events(*columns[:4], n, verdicts, 0, 0, records)
+
+
+def counting():
+    n = 50 * LARGE
+    columns = EventDecoder((34, 34)).decode(random_events(n))
+    counts = np.zeros((34, 34), np.int64)
+    return lambda: count_events(columns.x, columns.y, n, counts)
+
+
+def spikes():
+    volume = SpikingVolume(random_spiking_model(9))
+    volume.open(0)
+    events = random_events(LARGE, duration_us=CONFIG.window_us, sensor=CONFIG.sensor)
+    columns = EventDecoder(CONFIG.sensor).decode(events)
+    return lambda: volume.absorb(columns, 0, LARGE)
+
+
+@pytest.mark.skipif(BOUNDS_CHECKED, reason="the lock is kept where indices are checked")
+@pytest.mark.parametrize("made", [whole_passes, raw_outputs, objects, filtering, counting, spikes])
+def test_others_run_during_every_call_that_takes_long(made):
+    assert others_run_during(made())
 
 
 @pytest.mark.skipif(BOUNDS_CHECKED, reason="the lock is kept where indices are checked")

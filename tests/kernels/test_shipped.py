@@ -4,10 +4,11 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from async_tnt.kernels import shipped
+from async_tnt.kernels import ship, shipped, target
 from async_tnt.kernels.target import GENERIC, KINDS, chosen_kind, settings_for
 
 MAKE = """
@@ -80,7 +81,35 @@ def test_code_that_fits_is_used_and_gives_the_same_bits(use, tmp_path):
     assert (compiled, same) == (True, answer) and "brings no code" in why_not
 
 
-@pytest.mark.parametrize("name", shipped.own_key())
+INGREDIENTS = {
+    "kernels": ("shipped.SOURCES", "0123"),
+    "numba": ("numba.__version__", "0.1"),
+    "llvmlite": ("llvmlite.__version__", "0.1"),
+    "python": ("sysconfig.get_config_var", lambda name: "cpython-39"),
+    "system": ("platform.machine", lambda: "PDP-11"),
+    "processor": ("shipped.chosen_kind", lambda: "nehalem"),
+    "numbers in a register": ("shipped.LANES", 4),
+}
+"""Name in the key -> what it is made of, and another value of that."""
+
+
+@pytest.mark.parametrize("name", INGREDIENTS)
+def test_the_key_names_all_that_code_depends_on(name, monkeypatch):
+    before = shipped.own_key()
+    assert before.keys() == INGREDIENTS.keys() and "" not in before.values()
+    path, other = INGREDIENTS[name]
+    path = path.replace("shipped.", "async_tnt.kernels.shipped.")
+    monkeypatch.setattr(path, other)
+    after = shipped.own_key()
+    assert [key for key in before if before[key] != after[key]] == [name]
+
+
+def test_code_of_one_system_is_not_that_of_another(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "plan9")
+    assert shipped.own_key()["system"].startswith("plan9 ")
+
+
+@pytest.mark.parametrize("name", INGREDIENTS)
 def test_code_for_something_else_is_not_used(name, folder, tmp_path):
     found = shipped.read_file(made_for_another(name, folder, tmp_path))
     assert not found.code
@@ -146,6 +175,109 @@ def test_code_that_cannot_be_read_is_compiled(use, tmp_path):
 def test_where_numba_compiles_otherwise_no_code_is_used(settings, reason, use):
     compiled, (best, _), why_not = use(**settings)
     assert (compiled, best) == (True, "1") and reason in why_not
+
+
+def test_code_without_checks_is_not_loaded_where_indices_are_checked(use, tmp_path):
+    """Both are kept in one cache."""
+    nowhere = tmp_path / "nothing"
+    assert use(nowhere)[0]
+    assert use(nowhere, NUMBA_BOUNDSCHECK="1")[0]
+
+
+@pytest.mark.parametrize(
+    "name", ["NUMBA_BOUNDSCHECK", "NUMBA_DEBUGINFO", "NUMBA_ENABLE_AVX", "NUMBA_OPT"]
+)
+def test_every_variable_that_changes_code_is_known(name, monkeypatch):
+    for known in target.OTHERWISE:
+        monkeypatch.delenv(known, raising=False)
+    assert target.other_settings() == []
+    monkeypatch.setenv(name, "1")
+    assert target.other_settings() == [name]
+
+
+V3 = {"avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "popcnt"}
+V4 = V3 | {"avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"}
+"""The instructions of LLVM's kinds, as the System V ABI for x86-64 lists them."""
+
+
+def test_a_processor_is_of_the_best_kind_all_of_whose_instructions_it_has(monkeypatch):
+    has = set()
+    monkeypatch.setattr(target, "is_x86", lambda: True)
+    monkeypatch.setattr(
+        target.llvm, "get_host_cpu_features", lambda: {name: name in has for name in V4}
+    )
+    kinds = {"x86-64-v4": V4, "x86-64-v3": V3, None: set()}
+    for kind, needs in kinds.items():
+        has = needs | {"sse4.2"}
+        assert target.best_kind() == kind
+        for missing in needs:
+            has = needs - {missing}
+            assert target.best_kind() == (None if missing in V3 else "x86-64-v3")
+    monkeypatch.setattr(target, "is_x86", lambda: False)
+    assert target.best_kind() == GENERIC
+
+
+def test_whether_code_is_used_is_told_in_words(monkeypatch):
+    monkeypatch.setattr(shipped, "chosen_kind", lambda: "x86-64-v3")
+    monkeypatch.setattr(shipped, "shipped", lambda: shipped.Shipped({"a": memoryview(b"a")}))
+    assert shipped.state_of_kernels() == "compiled code of the package, for x86-64-v3 processors"
+    monkeypatch.setattr(shipped, "shipped", lambda: shipped.Shipped(why_not="NUMBA_OPT is set"))
+    assert shipped.state_of_kernels() == "compiled on this machine: NUMBA_OPT is set"
+
+
+@pytest.mark.parametrize(
+    ("words", "best", "is_x86", "kinds"),
+    [
+        (["new"], "x86-64-v3", True, ["x86-64-v3"]),
+        (["new"], None, True, []),
+        (["new", "all"], "x86-64-v3", True, ["x86-64-v4", "x86-64-v3"]),
+        (["new", "all"], GENERIC, False, [GENERIC]),
+        ([], "x86-64-v3", True, None),
+        (["new", "some"], "x86-64-v3", True, None),
+        (["new", "all", "all"], "x86-64-v3", True, None),
+    ],
+)
+def test_the_command_that_makes_the_files(
+    words, best, is_x86, kinds, monkeypatch, tmp_path, capsys
+):
+    """Its usage is told if it is called in another way."""
+    made = []
+
+    def made_here(kinds, folder):
+        made.append((kinds, folder))
+        (tmp_path / "made.code").write_bytes(bytes(2_345_678))
+        return [tmp_path / "made.code"] * len(kinds)
+
+    monkeypatch.setattr(ship, "ship", made_here)
+    monkeypatch.setattr(ship, "best_kind", lambda: best)
+    monkeypatch.setattr(ship, "is_x86", lambda: is_x86)
+    monkeypatch.setattr(sys, "argv", ["ship", *words])
+    code = ship.main()
+    out, err = capsys.readouterr()
+    if kinds is None:
+        assert (code, made, out) == (2, [], "") and err.startswith("usage: python -m ")
+    else:
+        assert (code, made, err) == (0, [(kinds, Path("new"))], "")
+        assert out == f"{tmp_path / 'made.code'}: 2.3 MB\n" * len(kinds)
+
+
+def test_each_kind_is_compiled_by_itself_with_an_empty_cache(monkeypatch, tmp_path):
+    """Numba cannot write what it has loaded from a cache, or from a package."""
+    calls = []
+
+    def run_instead(command, env, check):
+        assert check and list(Path(env["NUMBA_CACHE_DIR"]).iterdir()) == []
+        assert env["NUMBA_OPT"] == "3"  # where it is set, code of the package is not loaded
+        about = {name: env[name] for name in settings_for("x86-64-v3")}
+        calls.append((command[-1], about, env["NUMBA_CACHE_DIR"]))
+
+    monkeypatch.setattr(ship.subprocess, "run", run_instead)
+    kinds = ["x86-64-v4", "x86-64-v3"]
+    files = [tmp_path / f"{kind}.code" for kind in kinds]
+    assert ship.ship(kinds, tmp_path) == files
+    expected = [(str(f), settings_for(kind)) for f, kind in zip(files, kinds, strict=True)]
+    assert [call[:2] for call in calls] == expected
+    assert len({cache for *_, cache in calls}) == 2
 
 
 @pytest.mark.parametrize("kind", [*KINDS, GENERIC])

@@ -16,7 +16,15 @@ from numba.core.registry import CPUDispatcher
 from oracles import forward
 from torch import nn
 
-from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, kernels
+from async_tnt import (
+    CompiledClassifier,
+    CompiledNetwork,
+    Model,
+    Processor,
+    TNTConfig,
+    TNTVolume,
+    kernels,
+)
 from async_tnt.kernels.decisions import classify
 from async_tnt.kernels.entry_points import ENTRY_POINTS
 from async_tnt.kernels.network import program as P
@@ -281,10 +289,20 @@ def test_no_zero_of_a_sum_is_negative(bias, scale):
     for t, (x, y, p) in enumerate([(0, 0, 0), (7, 7, 1), (3, 2, 0), (3, 2, 1), (6, 1, 0)]):
         logits = classifier.refresh(volume)
         assert logits.tobytes() == CompiledClassifier(model)(volume.array).tobytes()
-        assert logits.tobytes() == CompiledClassifier(model)(-0.0 + volume.array).tobytes()
+        with_negative_zeros = np.where(volume.array == 0, np.float32(-0.0), volume.array)
+        assert logits.tobytes() == CompiledClassifier(model)(with_negative_zeros).tobytes()
         assert logits.tobytes() == forward(model.weights, volume.array).tobytes()
         assert not np.signbit(logits[logits == 0]).any()
         volume.update_one(t, x, y, p)
+
+
+def test_no_zero_of_the_input_is_negative():
+    """A network that copies its input shows that."""
+    layers = [{"op": "pick", "name": "copy", "inputs": ["volume"], "channels": [0]}]
+    model = Model(CONFIG, {}, network={"classifier": layers}, outputs={"out": "copy"})
+    network = CompiledNetwork(model)
+    (copied,) = network(np.full(CONFIG.shape, -0.0, np.float32))
+    assert not copied.any() and not np.signbit(copied).any()
 
 
 def test_a_map_may_be_sparse_here_and_dense_there():

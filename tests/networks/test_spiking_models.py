@@ -257,6 +257,61 @@ def test_the_confidence_closes_a_window():
     assert all(d.probability >= 0.99 for d in decisions if d.trigger == "confidence")
 
 
+@pytest.mark.parametrize("ops", [("if",), ("if", "lif", "cuba_lif")], ids="+".join)
+def test_logits_are_spikes_or_membranes_as_they_are_then(ops):
+    """Of equal logits that of the largest membrane is decided for, of equal membranes the first.
+
+    It is so after each event, and in a window that has none yet, whose neurons go on.
+    """
+    n_leaky = 0
+    n_tied = 0
+    for seed in range(25):
+        volume = SpikingVolume(random_spiking_model(seed, ops=ops), keep_neurons=True)
+        fires = volume.network.fires
+        for event in [None, *events_of(CONFIG, 40, seed).tolist(), None]:
+            if event is None:
+                volume.open(volume.start_us + CONFIG.window_us)
+            else:
+                volume.update_one(*event)
+            index, logits, probabilities = volume.answer()
+            membranes = volume.membranes()
+            expected = volume.spike_counts() if fires else membranes
+            np.testing.assert_allclose(logits, expected, rtol=1e-6, atol=1e-9)
+            tied = np.flatnonzero(logits == logits.max())
+            assert index == tied[np.argmax(membranes[tied])]
+            shares = np.exp(logits.astype(float))
+            np.testing.assert_allclose(probabilities, shares / shares.sum(), rtol=1e-9)
+            n_leaky += not fires and len(set(membranes)) > 1
+            n_tied += len(set(membranes[tied])) > 1 and index > 0
+    assert n_tied > 20 and (n_leaky > 20 or ops == ("if",))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"every_events": 4}, {"confidence": 0.9}, {"every_events": 3, "confidence": 0.8}],
+    ids=str,
+)
+def test_moments_in_pauses_are_the_same_in_one_compiled_call(settings, monkeypatch):
+    """At moments without new events nothing is decided, also where they are windows apart."""
+    model = random_spiking_model(9)
+    rng = np.random.default_rng(4)
+    events = events_of(CONFIG, 250)
+    events["t"] = np.cumsum(
+        rng.choice([0, 3, 20, 150, 700, 2500], 250, p=[0.3, 0.3, 0.2] + [0.2 / 3] * 3)
+    )
+    one_by_one = Processor(model, every_us=50, **settings)
+    expected = [told(d) for event in events.tolist() for d in one_by_one.push_one(*event)]
+    assert sum(trigger == "every_us" for trigger, *_ in expected) > 15
+    for length in (1, 10_000):  # of a packet that is decided in one call
+        monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", length)
+        assert [told(d) for d in Processor(model, every_us=50, **settings).push(events)] == expected
+
+
+def told(decision):
+    about = (decision.trigger, decision.window_start_us, decision.time_us, decision.events)
+    return *about, decision.label, decision.logits.tolist()
+
+
 def test_a_model_for_another_sensor_has_the_same_neurons():
     conv, weights = layer(
         "conv",

@@ -48,6 +48,27 @@ def test_evidence_and_its_gradient(seed):
     np.testing.assert_allclose(gradient, position.grad.numpy(), rtol=1e-7, atol=1e-7)
 
 
+def test_the_curvature_is_that_of_the_likelihood_about_the_images():
+    """Of sum |W c - W a X|^2 / 2 with the posterior means X, by differences, at the path."""
+    frames, path = made(3)
+    band = MODEL.spectra(frames).reshape(len(frames), -1, K)
+    _, _, curvature = MODEL.evidence(band, path)
+    weights = np.tile(MODEL.band_weights, len(MODEL.band_frequencies[1]))
+
+    def white(moved):
+        return MODEL.white_motion(moved, *MODEL.band_frequencies).reshape(-1, K)
+
+    a = white(path)
+    mean = (a.conj() * band).sum(2) / ((abs(a) ** 2).sum(1) + MODEL.band_prior)  # (N, F)
+    # how what is explained changes with each number of the path
+    steps = 1e-6 * np.eye(2 * K).reshape(2 * K, K, 2)
+    slopes = np.array([white(path + step) - white(path - step) for step in steps]) / 2e-6
+    changes = (np.sqrt(weights) * mean)[None, :, :, None] * slopes[:, None]
+    changes = changes.reshape(2 * K, -1)
+    expected = (changes @ changes.conj().T).real
+    np.testing.assert_allclose(curvature, expected, rtol=1e-6, atol=1e-6 * abs(expected).max())
+
+
 def test_image_costs_least():
     """The image's cost is within a thousandth of the least cost that another method finds.
 

@@ -69,6 +69,24 @@ def test_the_bounds_by_hand(time, arrival_us, kept):
 
 
 @pytest.mark.parametrize(
+    ("packets", "arrivals", "is_last_kept"),
+    [
+        ([[60_000_000], [59_000_000]], None, True),  # a second back
+        ([[60_000_000], [58_999_999]], None, False),
+        ([[60_000_000], [59_980_000]], [0, 10_000_000], True),  # 20 ms back, after a pause
+        ([[60_000_000], [59_979_999]], [0, 10_000_000], False),
+        ([[60_000_000], *[[0]] * 7], None, False),  # eight packets agree
+        ([[60_000_000], *[[0]] * 8], None, True),
+        ([[4_102_444_800_000_000]], None, True),  # the year 2100
+        ([[4_102_444_800_000_001]], None, False),
+    ],
+)
+def test_the_limits_that_the_rule_names(packets, arrivals, is_last_kept):
+    kept, _ = by_clock(packets, arrivals)
+    assert bool(kept[-1]) is is_last_kept
+
+
+@pytest.mark.parametrize(
     ("max_jump_s", "jump_us"),
     [(0.25, 250_000), (2.5, 2_500_000), (0.000_001_6, 2), (1.1, 1_100_000)],
 )

@@ -156,7 +156,11 @@ def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(
     size = EVENT_BYTES[format]
     one_by_one = Decoder(format, sensor, bound)
     in_two = Decoder(format, sensor, bound)
-    parts = [one_by_one.decode(datagram) for datagram in datagrams]
+    arrivals = [1_000 * k for k in range(len(datagrams))]
+    parts = [
+        one_by_one.decode(datagram, arrival)
+        for datagram, arrival in zip(datagrams, arrivals, strict=True)
+    ]
     whole = [datagram[: len(datagram) // size * size] for datagram in datagrams]
     n_whole = sum(map(len, whole)) // size
     n_cut = sum(len(datagram) % size > 0 for datagram in datagrams)
@@ -164,9 +168,9 @@ def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(
         in_two.decode_datagrams(
             np.frombuffer(b"".join(batch), np.uint8),
             np.cumsum([0] + [len(d) // size for d in batch])[1:].tolist(),
-            [0] * len(batch),
+            came,
         )
-        for batch in (whole[:cut], whole[cut:])
+        for batch, came in ((whole[:cut], arrivals[:cut]), (whole[cut:], arrivals[cut:]))
     ]
     events = np.concatenate([np.empty(0, EVENT_DTYPE), *parts])
     assert events.tobytes() == np.concatenate(batches).tobytes()

@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import tnt_reference  # noqa: E402
-from made import random_events  # noqa: E402
+from made import events_of, random_events  # noqa: E402
 
 from async_tnt.networks.models.torch_modules import torch_regressor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
@@ -85,6 +85,21 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
     for draws in (None, fine):
         got = batches.landmark_gradient(windows, draws, LANDMARKS, slope)
         np.testing.assert_allclose(got, at.grad, rtol=1e-9, atol=1e-9)
+
+
+def test_beyond_the_last_row_and_column_the_gradient_is_zero():
+    """An event on the last column, or row, would leave the volume; the next one's is not read.
+
+    At TNT time 1 it is at its own pixel, if the landmark is the centre.
+    """
+    middle_us = CONFIG.window_us // 2
+    slope = np.ones((1, *CONFIG.shape), np.float32)
+    centre = np.array([[16.5, 16.5]])
+    for x, y, expected in ((33, 10, (1.0, 0.0)), (12, 33, (0.0, 1.0)), (12, 10, (0.0, 0.0))):
+        events = events_of([0, middle_us], [5, x], [5, y], [1, 1])
+        windows = make_windows(Recordings.from_events([events], [0]), CONFIG.window_us)[:1]
+        found = BatchVolumes(CONFIG).landmark_gradient(windows, None, centre, slope)
+        np.testing.assert_allclose(found, [expected], atol=1e-9)
 
 
 def test_the_loss_reaches_every_layer_and_the_exported_pipeline_equals_the_references():

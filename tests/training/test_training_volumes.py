@@ -3,6 +3,8 @@
 Augmentation changes them as stated.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 from made import events_of, opened, random_events
@@ -276,6 +278,63 @@ def test_what_stands_in_the_place_of_a_recording(kind):
             ]
             assert np.hypot(*(second - first)) > 0.5 and volume.sum() > 0.02 * n_events
     assert n_hot == ({1, 2, 3} if kind == HOT_PIXELS else set())
+
+
+def splitmix64(seed):
+    """The numbers of the generator SplitMix64, as its authors publish it: 64 bits each."""
+    state = seed
+    while True:
+        state = (state + 0x9E3779B97F4A7C15) % 2**64
+        z = state
+        z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 % 2**64
+        z = (z ^ z >> 27) * 0x94D049BB133111EB % 2**64
+        yield z ^ z >> 31
+
+
+def test_which_events_are_kept_is_drawn_by_the_generator_that_is_named():
+    """The first numbers of the seed 1234567 are those that are published with the generator."""
+    numbers = list(itertools.islice(splitmix64(1234567), 99))
+    assert numbers[:2] == [6457827717110365317, 3203168211198807973]
+    config = TNTConfig(transform="none", representation="count", polarity="unsigned")
+    events = events_of(range(100), [*range(25)] * 4, np.repeat(range(4), 25), [1] * 100)
+    windows = make_windows(Recordings.from_events([events], [0]), config.window_us)[:1]
+    draws = unchanged(1, config)
+    draws.keep[:] = 0.4
+    draws.seed[:] = 1234567
+    kept = BatchVolumes(config)(windows, draws)[0, 0, :4, :25].reshape(-1)
+    # the number before the first one, of event 0, is drawn with the seed itself as state
+    assert kept[1:].tolist() == [number / 2**64 < 0.4 for number in numbers]
+
+
+@pytest.mark.parametrize("on_share", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize(("cosine", "sine"), [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8), (-0.8, 0.6)])
+def test_an_edge_by_hand(cosine, sine, on_share):
+    """It moves 20 pixels along its normal, through (25, 20) in the middle of the window.
+
+    It is 4 pixels thick and 16 long.
+    """
+    config = TNTConfig(
+        transform="none", polarity="split", bins=2, sensor=(50, 40), grid=(50, 40), window_us=1_000
+    )
+    y, x = np.mgrid[:40, :50]
+    across = (x + 0.5 - 25) * cosine + (y + 0.5 - 20) * sine
+    along = (y + 0.5 - 20) * cosine - (x + 0.5 - 25) * sine
+    for share in (0.0, 0.25, 0.9):
+        events = events_of([int(1_000 * share)] * 2_000, [3] * 2_000, [3] * 2_000, [1] * 2_000)
+        windows = make_windows(Recordings.from_events([events], [0]), 1_000, duration_us=1_000)
+        draws = unchanged(1, config)
+        draws.content[:] = EDGE
+        draws.place[:] = 25, 20, cosine, sine, 20, 4, 16, on_share
+        volume = BatchVolumes(config)(windows, draws)[0].astype(np.float64)
+        assert volume.sum() == pytest.approx(2_000)
+        assert volume[:2].sum() / 2_000 == pytest.approx(on_share, abs=0.05)
+        for place, middle, side in ((across, 20 * (share - 0.5), 4), (along, 0, 16)):
+            found = place[volume.sum(0) > 0]
+            # a pixel's middle is less than 0.71 from any of its places
+            assert abs(found - middle).max() < side / 2 + 0.71
+            weights = volume.sum(0) / 2_000
+            assert (weights * place).sum() == pytest.approx(middle, abs=0.6)
+            assert np.ptp(found) > 0.8 * side - 1
 
 
 def test_a_folder_is_a_data_set_of_volumes_for_torch(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from held_memory import peak_of_process
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_model
+from made import events_of, nasty_streams, random_events, random_model
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model, stream
 from async_tnt.kernels.volume import state as S
@@ -208,6 +208,7 @@ def test_a_window_of_a_number_of_events_by_hand():
     # an event that comes late is one of the last, too
     volume.update_one(5, 0, 0, 1)
     assert volume.array[0, 0, 0] == 1 == volume.array[1, 4, 2] and volume.moment() == (30, 30, 2)
+    assert volume.n_left_early == 0  # as only an event of a window of a time can
 
 
 def test_a_window_of_a_time_by_hand():
@@ -284,6 +285,76 @@ def test_a_full_window_of_a_time_loses_its_oldest_events(monkeypatch):
     assert volume.n_left_early == 0
 
 
+class FullWindow:
+    """The events of a window of `last_us` that holds a few at most, kept in a list."""
+
+    def __init__(self, config, n_most):
+        self.config = config
+        self.n_most = n_most
+        self.events = []  # by time, and those of one time in the order of their arrival
+        self.newest_us = 0
+        self.n_left_early = 0
+        self.n_late = 0
+
+    def oldest_us(self):
+        """The first time that is in the window."""
+        slice_us = self.config.slice_us
+        if slice_us is None:
+            return self.newest_us - self.config.last_us + 1
+        return (self.newest_us // slice_us - self.config.bins + 1) * slice_us
+
+    def add(self, event):
+        self.newest_us = max(self.newest_us, event[0])
+        self.events = [one for one in self.events if one[0] >= self.oldest_us()]
+        if event[0] < self.oldest_us():
+            self.n_late += 1
+            return
+        if len(self.events) == self.n_most:
+            del self.events[0]
+            self.n_left_early += 1
+        place = sum(one[0] <= event[0] for one in self.events)
+        self.events.insert(place, event)
+
+    def array(self):
+        events = events_of(*np.array(self.events).T)
+        slice_us = self.config.slice_us
+        bins = 0
+        if slice_us is not None:
+            bins = events["t"] // slice_us - self.newest_us // slice_us + self.config.bins - 1
+        return image(events, self.config, bins)
+
+
+@pytest.mark.parametrize(
+    "window", [{"last_us": 20}, {"last_us": 20, "representation": "volume", "bins": 2}], ids=str
+)
+def test_a_full_window_with_pauses_and_late_events_is_that_of_a_list(window, monkeypatch):
+    """Many events have equal times. What is too old by then has not left early."""
+    monkeypatch.setattr("async_tnt.volume.state.MAX_LAST_EVENTS", 5)
+    config = config_of(**window)
+    rng = np.random.default_rng(1)
+    n = 600
+    times = np.cumsum(rng.choice([0, 0, 1, 3, 12, 40], n))
+    late = rng.random(n) < 0.3
+    times[late] = np.maximum(0, times[late] - rng.integers(1, 40, late.sum()))
+    events = events_of(times, rng.integers(0, 9, n), rng.integers(0, 8, n), rng.integers(0, 2, n))
+    for size in (0, 1, 9, 150):
+        volume = TNTVolume(config)
+        volume.open(0)
+        expected = FullWindow(config, 5)
+        for first in range(0, n, max(size, 1)):
+            packet = events[first : first + max(size, 1)]
+            if size:
+                volume.update(packet)
+            else:
+                volume.update_one(*packet[0].tolist())
+            for event in packet.tolist():
+                expected.add(event)
+            np.testing.assert_array_equal(volume.array, expected.array())
+            counted = (volume.n_events, volume.n_left_early, volume.counts.dropped_late)
+            assert counted == (len(expected.events), expected.n_left_early, expected.n_late)
+    assert expected.n_left_early > 50 < expected.n_late
+
+
 def small_model(**window):
     """A model of three classes that counts events of parts of the sensor."""
     config = config_of(**window)
@@ -315,11 +386,16 @@ def test_decisions_are_about_the_window_as_it_is_then(window):
         assert decision.window_start_us == inside["t"][0]
 
 
-def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then():
+@pytest.mark.parametrize("stretch", [1, 500], ids=["in one compiled call", "one by one"])
+def test_a_decision_of_every_us_is_about_the_events_that_are_in_the_window_then(
+    stretch, monkeypatch
+):
     """Also those that leave without a new event are gone."""
+    monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", stretch)
     model = small_model(last_us=300)
     events = random_events(40, duration_us=6_000, sensor=SENSOR)
-    decisions = list(stream(events, model, every_us=250, start_us=0))
+    processor = Processor(model, every_us=250, start_us=0)
+    decisions = processor.push(events) + processor.finish()
     moments = np.arange(250, events["t"][-1] + 1, 250)
     # a decision at a moment if events came since the last one, made when a later event comes
     expected = []
@@ -380,6 +456,18 @@ def test_confidence_tells_when_the_class_changes(window, is_compiled, other):
     again = processor.push(events[:200])
     again = [told(decision) for decision in again if decision.trigger == "confidence"]
     assert again == expected[: len(again)] and again
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_a_window_that_is_empty_at_a_decision_begins_at_its_newest_event(is_compiled, monkeypatch):
+    monkeypatch.setattr("async_tnt.streaming.processor.STRETCH", 1)  # in one compiled call
+    model = small_model(last_us=30)
+    classifier = CompiledClassifier(model)
+    how = {} if is_compiled else {"classifier": lambda volume: classifier(volume)}
+    events = events_of([10, 400], [1, 2], [1, 2], [1, 1])
+    (decision,) = Processor(model, every_us=100, start_us=0, **how).push(events)
+    about = (decision.trigger, decision.window_start_us, decision.time_us, decision.events)
+    assert about == ("every_us", 10, 10, 0)
 
 
 def test_decisions_may_be_farther_apart_than_the_window_is_long(recwarn):

@@ -5,10 +5,11 @@
 
 `nothing` is the map's last channel. Of equal scores near each other, only the first one is a peak,
 row by row from the left. Scores and peaks are kept between calls: scores are computed again where
-the map has changed, and peaks within NEAR of such places. Each peak is an object, of the likeliest
-class there. Its position is the mean of the places
-within one row and column of the peak, weighted by their scores where these are positive. Objects
-are listed from the likeliest on; of equally likely ones, that with the first peak, row by row.
+the map has changed, and peaks within NEAR of such places.
+
+Each peak is an object, of the likeliest class there. Its position is the mean of the places within
+one row and column of the peak, weighted by their scores where these are positive. The likeliest
+object is listed first; equally likely objects are listed in the order of their peaks, row by row.
 
 A map may say how large objects are. Then two channels a and b follow `nothing`, and with the
 distances dx and dy between neighbouring places, in sensor pixels, an object at a peak has
@@ -20,9 +21,9 @@ box is. Then the position of an object at a peak is not a mean over places, but
 
     x = (the peak's x) + dx c,  y = (the peak's y) + dy d        with c and d limited as well
 
-Of two objects of a class whose boxes overlap by more
-than SUPPRESSED, only the likelier one is listed. The overlap of two boxes is the area that they
-share, divided by the area that they cover together.
+If the boxes of two objects of a class overlap by more than SUPPRESSED, only the likelier object is
+listed. The overlap of two boxes is the area that they share, divided by the area that they cover
+together.
 
 An object takes the number of an earlier object that is nearer than a given reach, or else a new
 number. The likeliest object chooses first, and takes the number of the nearest earlier object. Of
@@ -125,7 +126,7 @@ time, and whether to keep the tracks."""
 
 @entry_point(float32[::1], *SCORES)
 def score_map(maps, about, scores, peaks):
-    """Scores and peaks of a whole map."""
+    """Compute the scores and the peaks of a whole map. For parameters see `locate_on_map`."""
     for y in range(about[ROWS]):
         for x in range(about[COLUMNS]):
             _write_score(maps, about, scores, y, x)

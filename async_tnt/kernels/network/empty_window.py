@@ -130,7 +130,11 @@ def _keep(program, at, maps):
 
 @inlined
 def _copy(program, at, maps, y, x, n_numbers, source, target):
-    """Copy the numbers of a place from `source` behind a step's map to `target` behind it."""
+    """Copy the numbers of a place of a step's map, or of its map of an empty window.
+
+    source, target : int. How far the map that is read, and the one that is written, lie behind the
+        step's map: 0 or EMPTY.
+    """
     first = program[at + P.OUT] + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
     for k in range(n_numbers):
         maps[np.uint64(first + target + k)] = maps[np.uint64(first + source + k)]

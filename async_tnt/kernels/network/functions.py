@@ -2,8 +2,8 @@
 
 They are written here with additions, products, divisions, square roots and comparisons alone, each
 of which IEEE 754 rounds in one way. The functions of a library differ in their last bits from one
-machine to the next. Errors are at most a few units in the last place, but for results below 1e-37,
-and for Phi.
+machine to the next. Errors are at most a few units in the last place, except for results below
+1e-37, and for Phi.
 
     exp        e^x = 2^n e^r,  n = round(x / log 2),  |r| <= log 2 / 2
                e^r by its series up to r^7 / 7!

@@ -13,8 +13,9 @@ from async_tnt.kernels.entry_points import entry_point
 def centroid(exponent, pitch, width, height):
     """The expectation (x, y) under a softmax over the heatmap's places.
 
-    A common factor does not move the centroid: cells are relative to the largest, so exp cannot
-    overflow. Distances are taken from the middle: a uniform heatmap gives it exactly.
+    A common factor of all cells does not move the centroid. So exponents are taken relative to the
+    largest one, and exp cannot overflow. Distances are taken from the grid's middle, so that a
+    uniform heatmap gives exactly the middle.
 
     Parameters
     ----------

@@ -443,7 +443,7 @@ class _Channels:
         self._limits = tile.limits(weights, simd.add(self._slopes, self._size))
 
     def compute(self, n):
-        """Compute all registers, n side by side in turn. Returns the bits that differ.
+        """Compute all registers, n at a time. Returns the bits that differ.
 
         The last n may overlap the n before them, and compute some registers again.
         """

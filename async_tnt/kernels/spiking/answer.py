@@ -13,7 +13,10 @@ from async_tnt.kernels.volume import state as S
 
 @inlined
 def _membrane_now(program, stage, params, state, neuron, now_us):
-    """The membrane of a neuron at a time, which is not before it was computed last."""
+    """The membrane of a neuron at a time.
+
+    The membrane stays as it is if it has been computed up to that time, or beyond it.
+    """
     membrane = state[program[stage + L.MEMBRANES] + neuron]
     neurons = program[stage + L.NEURONS]
     if neurons != L.LEAKY and neurons != L.CURRENT_BASED:
@@ -44,8 +47,9 @@ def _membrane_now(program, stage, params, state, neuron, now_us):
 def answer_spikes(buffer, program, params, state, stage, logits, probabilities):
     """Logits and probabilities of a window: of the output's neurons, which lie at one place.
 
-    A logit is the number of a neuron's spikes in the window, or the membrane of an integrator. Of
-    equally large logits, that with the largest membrane is decided for.
+    A logit is the number of a neuron's spikes in the window, or the membrane of an integrator. The
+    class is that of the largest logit. Of equal logits, the neuron with the largest membrane
+    decides; of equal membranes, the first neuron.
 
     Parameters
     ----------

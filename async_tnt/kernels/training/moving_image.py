@@ -76,8 +76,8 @@ def evidence_terms(
     prior : float64, (F,): Q.
     whitening : float64, (K, K), lower triangular: W.
     gradient : float64, (K, 2). Overwritten.
-    weighted_phases : complex128, (F, K): e_k times the root of the sum over windows of |X|^2, which
-        is weighted with `weights`. Overwritten.
+    weighted_phases : complex128, (F, K): sqrt(w P) e_k, with the weight w of the frequency in
+        `weights`, and P the sum over windows of |X|^2. Overwritten.
 
     Returns
     -------

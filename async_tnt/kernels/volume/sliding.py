@@ -67,9 +67,9 @@ def _insert(ints, place, n, t, code):
 
 @compiled
 def slide(buffer, ints, t, x, y, p, first, last):
-    """Let the events `first <= i < last` into the window, and those out that leave for them.
+    """Add the events `first <= i < last` to the window, and take out the events that leave it.
 
-    The parameters and what is returned are those of `_slide_in_slice`, but all slices are passed.
+    Parameters and result are those of `_slide_in_slice`, but this goes on through all slices.
     """
     first = _slide_in_slice(buffer, ints, t, x, y, p, first, last)
     while first < last:
