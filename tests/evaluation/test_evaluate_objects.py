@@ -705,6 +705,25 @@ def test_matches_by_hand():
     assert n_right(found[:0], labels, middles, 3.0) == 0
 
 
+def test_what_is_taken_or_of_another_class_is_passed_over_for_the_next_nearest():
+    """Both found objects are nearest to the first object that is there."""
+    found = np.zeros((2, FOUND_SIZE))
+    found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0)]
+    middles = np.array([[10.0, 10], [14, 10], [16, 10]])
+
+    def n_right(labels, reach):
+        labels = np.array(labels)
+        return score_objects(found, labels, middles[: len(labels)], reach, 2).n_right.tolist()
+
+    assert n_right([0, 0], 4.0) == [2, 0]
+    assert n_right([0, 0], 2.0) == [1, 0]  # the second one is too far for the other found object
+    assert n_right([0, 1], 4.0) == [1, 0]
+    assert n_right([1, 0], 4.0) == [1, 0]
+    assert n_right([1, 0, 0], 5.0) == [2, 0]  # the first found object cannot reach the third one
+    assert n_right([1, 0, 0], 4.0) == [1, 0]
+    assert n_right([1, 1], 4.0) == [0, 0]
+
+
 def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
     """Places a thousandth inside and outside of the ellipse, at every angle.
 

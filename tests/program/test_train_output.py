@@ -152,6 +152,18 @@ def test_the_command_in_the_record_repeats_what_decides_and_names_no_folder(word
     assert train._command(args) == f"async-tnt train {told}".strip()
 
 
+@pytest.mark.parametrize("option", ["--size", "--scales"])
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("0.5", (0.5, 0.5)), (".125-0.25", (0.125, 0.25)), ("1", (1, 1)), ("0.3-1", (0.3, 1))],
+)
+def test_one_number_is_a_range_of_itself_alone(option, text, expected):
+    parser = argparse.ArgumentParser()
+    train_options.add_arguments(parser)
+    args = parser.parse_args(["set", option, text])
+    assert getattr(args, option.removeprefix("--")) == expected
+
+
 def test_pictures_options_are_refused_for_recordings_alone(program, tmp_path):
     for name in "ab":
         (tmp_path / "set" / name).mkdir(parents=True)

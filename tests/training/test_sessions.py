@@ -357,6 +357,27 @@ def test_a_part_of_a_data_set_that_holds_nothing_is_not_one(tmp_path):
     assert names_in(tmp_path, "Train") == {"bow": []}
 
 
+@pytest.mark.parametrize("what", ["sessions", "class folders"])
+def test_a_part_of_a_data_set_that_holds_anything_hides_what_is_around_it(tmp_path, what):
+    """Whether it holds sessions without a class folder, or class folders without a session."""
+    expected = {}
+    for folder in (tmp_path, tmp_path / "Train", tmp_path / "Test"):
+        folder.mkdir(exist_ok=True)
+        recording = folder / f"of_{folder.name}.npz"
+        if what == "sessions":
+            (folder / f"of_{folder.name}_labels.csv").write_text(HEADER + "wave,5,9\n")
+        else:
+            recording = folder / "wave" / recording.name
+            recording.parent.mkdir()
+        recording.touch()
+        expected[folder.name] = [recording]
+    for part_name in ("Train", "Test"):
+        (found,) = find_recordings(tmp_path, part_name).values()
+        assert [one.path for one in found] == expected[part_name]
+    found = find_recordings(tmp_path)["wave"]
+    assert [one.path for one in found] == expected[tmp_path.name]
+
+
 @pytest.mark.parametrize("name", ["trials_to_train.txt", "trials_to_test.txt", "Test"])
 def test_a_list_or_a_folder_sets_recordings_aside(tmp_path, name):
     assert not has_test(tmp_path)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import shutil
 from dataclasses import replace
 
@@ -184,6 +185,22 @@ def test_a_recorded_window_has_the_events_around_it_that_augmentation_may_move_i
         expected = windows[0].events(own, WINDOW_US, around_us)
         assert len(expected[0]) > len(windows[0].events(own, WINDOW_US)[0])
         np.testing.assert_array_equal(shown.events(k, WINDOW_US, around_us), expected)
+
+
+def test_another_process_has_the_events_of_windows_and_of_their_neighbours(
+    windows, tmp_path, monkeypatch
+):
+    """It does not have the whole data set. Some windows have neighbours, and some have none."""
+    monkeypatch.setattr(resynthesis, "MOST_WINDOWS", 5)
+    every = windows[0]
+    for part in (every, every[::2], every[np.array([0, 2, 3, 4])]):
+        for chunk in resynthesis._chunks("training", part, CONFIG, tmp_path, 2):
+            sent = pickle.loads(pickle.dumps(chunk))
+            assert len(sent.windows.recordings.t) < len(every.recordings.t)
+            assert sent.windows.labels.tolist() == chunk.windows.labels.tolist()
+            for k, around_us in enumerate(chunk.around_us):
+                events = [one.windows.events(k, WINDOW_US, around_us) for one in (sent, chunk)]
+                np.testing.assert_array_equal(*events)
 
 
 def test_a_file_has_as_many_windows_as_have_about_so_many_events(windows, monkeypatch, tmp_path):

@@ -466,8 +466,6 @@ def test_recordings_with_boxes_are_for_map_models(tmp_path):
     other["size"][0, 0] += 1  # which makes it another run
     changed = replace(data.training, recordings=replace(made, boxes=other))
     assert windows_checksum(changed, changed) != windows_checksum(data.training, data.training)
-    with pytest.raises(ValueError, match="recordings with boxes cannot be added"):
-        made + made
     with pytest.raises(ValueError, match="`scales` must not be given with tables of boxes"):
         dataset_data(tmp_path / "a", CHOICE, scales=(0.1, 0.3))
     with pytest.raises(ValueError, match="the part `Test` of recordings with tables"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made import events_of
 
-from async_tnt.training.recordings import BOX_DTYPE, Recordings, RecordingsWriter
+from async_tnt.training.recordings import BOX_DTYPE, COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.windows import make_windows
 
 
@@ -83,6 +83,35 @@ def test_recordings_that_are_appended_in_blocks_stay_as_they_are(is_mapped, monk
         writer.extend(Recordings.from_events([recording([])], [4]))
         empty = writer.finish()
     assert len(empty) == 1 and len(empty.t) == 0 and empty.t.dtype == np.int32
+
+
+def test_recordings_are_added_as_if_they_had_been_made_together():
+    times = [[1, 2, 3], [], [4], [5, 6]]
+    names = ["a", "b", "c", "d"]
+    first, second = (
+        Recordings.from_events(map(recording, times[part]), [2, 0, 1, 2][part], names[part])
+        for part in (slice(3), slice(3, None))
+    )
+    whole = Recordings.from_events(map(recording, times), [2, 0, 1, 2], names)
+    added = first + second
+    assert added.names == whole.names
+    for name in (*COLUMNS, "offsets", "labels"):
+        np.testing.assert_array_equal(getattr(added, name), getattr(whole, name))
+
+
+@pytest.mark.parametrize("known", ["boxes", "outlines"])
+@pytest.mark.parametrize("sides", [(True, False), (False, True), (True, True)])
+def test_recordings_with_boxes_or_outlines_are_not_added(known, sides):
+    """Whichever side has them: they would be lost, or belong to other recordings."""
+    plain = Recordings.from_events([recording([1])], [0])
+    if known == "boxes":
+        with_them = replace(plain, boxes=np.zeros(1, BOX_DTYPE))
+    else:
+        outlines = np.zeros((1, 2, 4, 2), np.float32)
+        with_them = replace(plain, outlines=outlines, outlined_us=np.array([9]))
+    first, second = (with_them if has_them else plain for has_them in sides)
+    with pytest.raises(ValueError, match=f"^recordings with {known} cannot be added$"):
+        first + second
 
 
 def test_boxes_are_those_of_each_recording_that_is_asked_for():
