@@ -269,8 +269,8 @@ class Model:
     ) -> Model:
         """A spiking model of a NIR graph. Each event goes through it at its own time.
 
-        Of a graph that `to_nir` wrote of a network of ReLUs it is that network again, with its own
-        configuration and classes, unless `reset` says that its neurons shall fire.
+        If `to_nir` wrote the graph from a network of ReLUs, the result is that network again, with
+        its own configuration and classes, unless `reset` says that its neurons shall fire.
 
         Parameters
         ----------
@@ -564,7 +564,7 @@ class Model:
         return replace(self, config=config, statistics=statistics)
 
     def _at_same_share(self, sensor: Sensor) -> Model:
-        """`for_sensor` of a model that is `by_share`."""
+        """The model for another sensor, see `for_sensor`, if this model is `by_share`."""
         cells = min(self.config.grid) / min(sensor)
         grid = (in_grid_steps(cells * sensor[0]), in_grid_steps(cells * sensor[1]))
         config = self.config.replace(sensor=sensor, grid=grid)

@@ -26,16 +26,16 @@ PRODUCER = {"producer": f"async_tnt {__version__}"}
 def to_nir(model: Model, *, polarity: PolarityOrder | None = None) -> nir.NIRGraph:
     """The network of a Model as a NIR graph, which `nir.write` writes to a file.
 
-    Of a spiking model, `Model.from_nir` with the same `polarity`, `reset` and `dt` gives the layers
-    and weights again if they came from a graph. These three and the model's window and classes are
-    not part of a graph's meaning; they stand in its metadata.
+    A spiking model that came from a graph can be read again: `Model.from_nir`, with the same
+    `polarity`, `reset` and `dt`, gives the same layers and weights. NIR has no place for these
+    three, or for the model's window and classes. So they stand in the graph's metadata.
 
-    A network of ReLUs is written with its weights as they are. NIR 1.0 has no ReLU, so neurons (IF)
-    with a threshold of 1 stand in their place, as when a simulator converts a network: they fire
-    floor(a) times within a window for an activation a. The metadata say that ReLUs are meant, and
-    hold configuration, classes and record. So `Model.from_nir` gives the same network of ReLUs
-    again. Batch norms become part of the layer before them, and a global average pooling becomes an
-    average pooling of the whole map. For a spiking network with finer rates see
+    A network of ReLUs is written with its weights as they are. NIR 1.0 has no ReLU. So neurons (IF)
+    with a threshold of 1 stand in place of the ReLUs. For an activation a, such a neuron fires
+    floor(a) times within a window, as when a simulator converts a network. The metadata say that
+    ReLUs are meant, and hold configuration, classes and record. So `Model.from_nir` gives the same
+    network of ReLUs again. Batch norms become part of the layer before them, and a global average
+    pooling becomes an average pooling of the whole map. For a spiking network with finer rates see
     `spiking_from_rates`.
 
     Parameters
