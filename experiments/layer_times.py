@@ -35,7 +35,7 @@ from experiments.speed.peak import most_multiplications
 from experiments.speed.timing import machine
 from experiments.speed.work import work_of
 
-FULL = {"laps": 5, "blocks": 40, "decisions_a_block": 50}
+FULL = {"laps": 4, "blocks": 20, "decisions_a_block": 50}
 """How much is measured."""
 
 QUICK = {"laps": 1, "blocks": 2, "decisions_a_block": 5}

@@ -1,7 +1,7 @@
 """Which boxes count in the scores of a data set, by a convention of its field.
 
-Gen1 and 1Mpx are scored by Prophesee's toolbox and copies of it, which first leave out boxes, of
-the tables and of those that were found alike. A box counts if
+Gen1 and 1Mpx are scored by Prophesee's toolbox and copies of it. They first leave out some boxes,
+by the same rule in the tables and among the boxes that were found. A box counts if
 
     t > 500,000 us,  width >= side,  height >= side,  width^2 + height^2 >= diagonal^2
 
@@ -34,7 +34,7 @@ from async_tnt.kernels.decisions.objects import HEIGHT, WIDTH
 
 
 class Convention(NamedTuple):
-    """Which boxes count. The others are left out, found ones, too."""
+    """Which boxes count, of those in a table and of those that were found. Others are left out."""
 
     skipped_us: int = -1
     """Boxes at this time, in microseconds, or before it do not count."""

@@ -42,7 +42,8 @@ class FoundBoxes:
 
         Parameters
         ----------
-        table, rows : the objects that are there, of which those with a size are boxes.
+        table, rows : a table, and its rows at this moment. Rows with a width and a height are
+            boxes; the others are left out.
         found : float64, (M, FOUND_SIZE), see `kernels.decisions.objects`.
         """
         moment = self._n_moments

@@ -50,7 +50,8 @@ def moments(config: TNTConfig) -> list[int]:
     step_us = every_us(config)
     if step_us is None:
         return []
-    inner_ends = [PER_MOMENT * step_us * k for k in range(1, N_MOMENTS)]
+    # a step is at least a microsecond, so ten tenths may be longer than a very short window
+    inner_ends = [min(PER_MOMENT * step_us * k, config.window_us) for k in range(1, N_MOMENTS)]
     return [*inner_ends, config.window_us]
 
 

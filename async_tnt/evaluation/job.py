@@ -31,8 +31,8 @@ class Job:
     version : version of this package.
     pixels : the pixels whose events the model sees. It holds the mask itself, so that workers do
         not need the mask's file.
-    reading : facts about files that do not state them. Its sensor is not used, because `pixels` has
-        the sensor.
+    reading : what the files do not state about themselves. Its sensor is not used, because `pixels`
+        has the sensor.
     """
 
     model: str

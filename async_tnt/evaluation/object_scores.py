@@ -185,8 +185,8 @@ def score_recording(
     model : a map model, for the recording's sensor.
     boxes : for each of `moments_us`, the boxes at all times so far, to which those of this
         recording are added; None: boxes are not kept.
-    convention : which found objects count. Rows of the table that do not count are left out before,
-        by `Convention.of_table`. If none is left, the recording is not read.
+    convention : which found objects count. The caller has already left out the rows of the table
+        that do not count, by `Convention.of_table`. If no row is left, the recording is not read.
 
     Returns
     -------

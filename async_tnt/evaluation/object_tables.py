@@ -143,7 +143,10 @@ def find_tables(folder: Path, part: str = "test") -> list[tuple[Path, Path]]:
 
 
 def has_tables(folder: Path, part: str = "test") -> bool:
-    """Whether `find_tables` would find a recording with a table. No folder has none."""
+    """Whether `find_tables` would find a recording with a table.
+
+    False if the folder does not exist.
+    """
     return folder.is_dir() and len(_pairs_in(part_folder(folder, part))) > 0
 
 
@@ -232,8 +235,8 @@ def class_names(tables: Sequence[Path]) -> tuple[str, ...]:
 
     Raises
     ------
-    ValueError : a table is damaged; some tables have names and others numbers; or the numbers leave
-        one out.
+    ValueError : a table is damaged; some tables have names and others numbers; or the numbers are
+        not 0, 1, 2 and so on.
     """
     names: set[str] = set()
     numbers: set[str] = set()

@@ -203,10 +203,11 @@ several threads."""
 def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
     """The Processor of a job, and the selector of its pixels.
 
-    A thread uses the same two objects for all recordings of a job. The Processor is reset here. It
-    decides every `early.every_us(config)` microseconds, or only at the ends of windows if that is
-    None; in windows of `last_events` once in so many events. The selector is not reset: it goes on
-    counting the events that it leaves out.
+    A thread uses the same two objects for all recordings of a job. The Processor is reset here. The
+    selector is not reset: it goes on counting the events that it leaves out.
+
+    The Processor decides every `early.every_us(config)` microseconds. If that is None, it decides
+    at the ends of windows of `window_events`, or once in `last_events` events.
 
     Raises
     ------

@@ -26,7 +26,7 @@ SUFFIXES = (".jsonl",)
 START = b'{"recording": '
 """The first bytes of each line."""
 Run = Callable[..., Generator[Record]]
-"""`run_all` or `run_on_dask`, which still needs the function, the tasks and `lost` as arguments."""
+"""`run_all` or `run_on_dask`, with all arguments but the function, the tasks and `lost`."""
 
 
 def collect(
@@ -50,8 +50,8 @@ def collect(
     tasks : at least one task. All have the same job and different recordings.
     run : runs the function over the tasks.
     out : the result file.
-    check : raises a ValueError for a record of an earlier run that these tasks cannot have, such as
-        `check_record`. Records with an error are not checked.
+    check : a function, such as `check_record`, that gets each record of an earlier run. It raises a
+        ValueError if these tasks cannot have such a record. Records with an error are not checked.
     progress : makes the progress bar, which counts recordings.
     report : called with lines of text: which records of an earlier run are kept or left out.
 

@@ -44,9 +44,9 @@ def choose_engine(
 ) -> Engine:
     """The engine that runs a model's networks, together with the model.
 
-    The networks of a model file run compiled, those of an .onnx file in onnxruntime. An .onnx
-    file with raw outputs runs compiled, and one of another program where all of its nodes have a
-    compiled form.
+    The networks of a model file run compiled. That of an .onnx file runs in onnxruntime, with two
+    exceptions that run compiled: a network of raw outputs, and a network of another program whose
+    nodes all have a compiled form.
 
     Parameters
     ----------

@@ -49,10 +49,11 @@ LONGEST = 0.5
 LONGEST_FOLLOWED = 4.0
 """Greatest length of a motion that the sensor follows, as a share of the sensor's shorter side."""
 CUT_OUT_LENGTHS = (0.1, 0.8)
-"""Least and greatest length of a motion on a sensor that is cut out, in the object's longer
-side."""
+"""Least and greatest length of a motion on a sensor that is cut out, as a share of the object's
+longer side."""
 CUT_OUT = 1.4
-"""Side of the sensor around an object that stands still, in the object's longer side."""
+"""Side of a sensor that is cut out for an object without motion, as a multiple of the object's
+longer side."""
 MOST_TURN = np.radians(15.0)
 """Largest turn of a motion, in radians."""
 MOST_GROWTH = 0.15

@@ -36,7 +36,7 @@ they stay inside the panel."""
 def draw_window_objects(window: Window, model: Model) -> Figure:
     """Draw the objects that a map model finds in a window: a panel for each of `SHARES`.
 
-    A window that slides still holds events from before `window` then.
+    If the model's window slides, it still holds events from before `window`. They are drawn, too.
     """
     config = model.config
     processor = Processor(model, start_us=None if config.slides else window.start_us)
@@ -55,8 +55,8 @@ def draw_window_objects(window: Window, model: Model) -> Figure:
     parts = np.split(events, stops)[:-1]
     for part, end_us in zip(parts, ends_us, strict=True):
         processor.push(part[:-1])
-        # `fire` has no effect on later ids. So that objects keep theirs from panel to panel, there
-        # is a decision at the last event before each.
+        # Objects shall keep their ids from panel to panel, but `fire` has no effect on later ids.
+        # So the last event before a panel triggers a decision, which has.
         processor.every_events = 1
         processor.push(part[-1:])
         processor.every_events = None

@@ -105,7 +105,8 @@ def shown_windows(window: Window, model: Model) -> np.ndarray:
 def last_outputs(subject: Subject, model: Model, numbers: np.ndarray) -> list[Output]:
     """The outputs at the ends of these windows of a recording.
 
-    At the ends of stretches as long as it is, a window that slides holds what a fixed one holds.
+    A window that slides is read at the ends of stretches of its own length. There it holds what a
+    fixed window holds.
     """
     model = replace(model, config=with_an_end(model.config))
     processor: Processor[Output] = Processor(model, start_us=subject.start_us)

@@ -25,7 +25,7 @@ WHEEL_WORDS = "Directions: channel 0 right, 1 down"
 """The title of the legend of directions."""
 
 NO_NUMBER = (100, 0, 30)
-"""Colour of nan, a dark red. No other number has it, in none of the pictures."""
+"""Colour of nan, a dark red. Nothing else has this colour in any picture."""
 
 FIRST_COLOURS = (
     (170, 170, 170),
@@ -97,7 +97,7 @@ def limits_of(arrays: Sequence[np.ndarray]) -> Limits:
         return Limits(0.0, 0.0)
     lowest = np.quantile(values, (1 - SHARE) / 2, method="lower")
     highest = np.quantile(values, (1 + SHARE) / 2, method="higher")
-    # almost all numbers are the same, so that the others decide
+    # if almost all numbers are the same, the few others decide
     if lowest == highest:
         lowest = values.min()
         highest = values.max()

@@ -56,7 +56,7 @@ class AnswerLog(Protocol):
         """
 
     def kept(self, answer: Any) -> Any:
-        """What is logged of an answer when the next picture is taken. It has the `time_us`."""
+        """The part of an answer that is logged with the next picture. It has the `time_us`."""
 
     def log_past(self, kept: Any, n_left_out: int) -> None:
         """Log an answer since the previous picture.

@@ -35,7 +35,8 @@ WHEEL = "directions"
 MOST_CURVES = 20
 """An output of more numbers is shown as bars of one moment, not as curves over time."""
 MOST_WRITTEN = 4
-"""Numbers of an output, or channels that are the largest somewhere, in the text, at most."""
+"""The text names at most this many numbers of an output, or channels that are the largest one at
+some place."""
 LAST_CLASS_ID = (1 << 16) - 1
 """The viewer numbers channels in 16 bits. Further channels are shown as this one."""
 WHEEL_SIDE = 201

@@ -77,6 +77,7 @@ def test_classes_are_apart():
 def test_without_boxes():
     boxes = FoundBoxes()
     boxes.add(table((9, 0, 5, 5, 0, 0)), WHOLE, found((0, 5, 5, 3, 3, 0.9)))
+    boxes.add(table((9, 0, 5, 5, 4, 0), (9, 0, 5, 5, 0, 4)), WHOLE, found())  # no area
     assert boxes.n_present == 0 and boxes.scores(["a"]) == dict.fromkeys(SCORES)
     boxes.add(table((9, 0, 5, 5, 4, 4)), WHOLE, found())
     none = FoundBoxes()

@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,8 @@ from async_tnt.evaluation.early import (
     decision_at,
     early_fields,
     early_report,
+    every_us,
+    moments,
 )
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
@@ -87,7 +90,10 @@ def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(
         if r["error"]
     }
     assert errors.keys() == {"3/torn.npz", "4/empty.bin"}
-    assert "not a readable NumPy file" in errors["3/torn.npz"]
+    # named as in the results, once, and by no path
+    assert errors["3/torn.npz"].startswith("3/torn.npz: not a readable NumPy file")
+    for name, error in errors.items():
+        assert error.count(name) == 1 and str(folder) not in error
     torn.unlink()
     shutil.copy(samples / "4" / "00.bin", empty)
     code, printed, message = program("evaluate", "digits", folder, "--out", out)
@@ -117,6 +123,23 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
     found = early_fields(5, window, config)
     assert found["confident"][LEVELS.index(level)] == 1
     assert found["confident_us"][LEVELS.index(level)] == 420  # when the event at 410 was known
+
+
+@pytest.mark.parametrize("event_windows", [{"window_events": 7}, {"last_events": 7}], ids=str)
+def test_in_windows_of_events_a_level_is_reached_at_the_newest_event(event_windows):
+    """These windows have no moments, as they have no duration of their own."""
+    config = TNTConfig(representation="count", **event_windows)
+    assert every_us(config) is None and moments(config) == []
+    decision = SimpleNamespace(time_us=107, index=2, probability=0.8, trigger="every_events")
+    found = early_fields(100, [decision], config)
+    assert found["decided_at"] == found["probability_at"] == []
+    assert found["confident_us"] == [7, 7, 7, 7, -1, -1, -1]
+
+
+def test_the_moments_of_windows_shorter_than_fifty_microseconds_lie_within_them():
+    config = TNTConfig(window_us=20)
+    assert every_us(config) == 1
+    assert moments(config) == [5, 10, 15, *[20] * 7]
 
 
 def decided(time_us, trigger="every_us", start_us=0, events=7):
@@ -228,6 +251,22 @@ def test_a_worker_refuses_the_job_of_another_program_or_model(changes, message):
         processor_of(replace(JOB, **changes))
 
 
+def test_a_thread_keeps_the_processor_of_a_job_and_shares_it_with_no_other_thread():
+    """It is reset for each recording. Another job has another one."""
+    from async_tnt import load_model
+
+    job = job_of("digits", load_model("digits"), Pixels())
+    processor, pixels = processor_of(job)
+    processor.push(random_events(100))
+    again = processor_of(job)
+    assert again[0] is processor and again[1] is pixels
+    assert processor.counts.received == 0
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(processor_of, job).result()[0] is not processor
+    other = replace(job, pixels=Pixels(roi=(0, 0, 34, 34)))
+    assert processor_of(other)[0] is not processor
+
+
 def test_a_job_names_a_bundled_model_or_a_file_wherever_its_worker_starts(tmp_path, monkeypatch):
     """A task names its recording so, too."""
     from async_tnt import load_model
@@ -247,6 +286,8 @@ def test_a_job_names_a_bundled_model_or_a_file_wherever_its_worker_starts(tmp_pa
     gone = task_of("3/b.bin", Path("3", "b.bin"), job, "3", (5, 9))
     assert (gone.label, gone.between_us) == ("3", (5, 9))
     assert gone.bytes is None and gone.modified_ns is None
+    # a file's name need not be text
+    assert task_of("3/\udcff.bin", Path("3", "b.bin"), job).recording == r"3/\udcff.bin"
 
 
 @pytest.mark.parametrize("option", [{"columns": "xypt"}, {"topic": "/left"}], ids=str)

@@ -21,7 +21,13 @@ from torch import nn
 
 from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
 from async_tnt.evaluation.object_scores import moments_us, score_objects, score_recording
-from async_tnt.evaluation.object_tables import ObjectTable, read_table
+from async_tnt.evaluation.object_tables import (
+    ObjectTable,
+    class_names,
+    find_tables,
+    has_tables,
+    read_table,
+)
 from async_tnt.kernels.decisions.objects import FOUND_SIZE, X, Y
 from async_tnt.sources import READERS
 from async_tnt.volume.events import EVENT_DTYPE
@@ -225,15 +231,18 @@ def test_what_is_wrong_is_said(folder, saved, program):
     assert "no recordings NAME.* with a table of objects" in error()
     write_points(folder / "a_td_objects.csv", head="t,class,x")
     assert "lacks y" in error()
-    for head in ("t,class,x,y,w", "t,class,x,y,h", "t,class,x,y,width", "t,class,x,y,height"):
-        write_points(folder / "a_td_objects.csv", head=head)
+    for side in ("w", "h", "width", "height", "W", "h ", "Width"):
+        write_points(folder / "a_td_objects.csv", head=f"t,class,x,y,{side}")
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
     for twice in ("t", "class", "x", "y"):
         write_points(folder / "a_td_objects.csv", [(*TRUTH[0], 5)], head=f"t,class,x,y,{twice}")
         expected = f"the column '{twice}' is there 2 times; leave out all but one"
         assert f"a_td_objects.csv: {expected}" in error()
-    write_points(folder / "a_td_objects.csv", [(6000, "on", 5)])
-    assert "x, y, w and h numbers" in error()
+    for twice in ("w", "h"):
+        write_points(folder / "a_td_objects.csv", head=f"t,class,x,y,w,h,{twice}")
+        assert f"the column '{twice}' is there 2 times; leave out all but one" in error()
+    write_points(folder / "a_td_objects.csv", [(6000, "on", 5, 5), (6000, "on", 5)])
+    assert "a_td_objects.csv: row 2: t must be whole microseconds, x, y, w and h numbers" in error()
     write_points(folder / "a_td_objects.csv", [(6000, 5, 5)], "t,x,y,class")
     assert "a row ends before its class" in error()
     write_points(folder / "a_td_objects.csv", [(6000, "cat", 5, 5)])
@@ -330,6 +339,97 @@ def test_numbers_that_no_box_has_are_refused(name, value, tmp_path):
     message = f"{path}: x, y, w and h must be finite, w, h and t at least 0"
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         read_table(path, ("on", "off"))
+
+
+@pytest.mark.parametrize(("t", "fits"), [(2**63 - 1, True), (2**63, False), (-(2**63) - 1, False)])
+def test_a_time_fits_into_64_bits(tmp_path, t, fits):
+    path = tmp_path / "a_objects.csv"
+    write_points(path, [(t, "on", 5, 5)])
+    if fits:
+        assert read_table(path, ("on",)).t.tolist() == [t]
+        return
+    with pytest.raises(ValueError, match=f"row 1: t must be whole microseconds.*: got '{t}'"):
+        read_table(path, ("on",))
+
+
+def test_of_classes_that_the_model_does_not_know_only_the_number_of_rows_counts(tmp_path):
+    """Such rows may hold any numbers. A class without a name goes by its number."""
+    path = tmp_path / "a_objects.csv"
+    rows = [(9, "on", 5, 5, 2, 2), (-9, "cat", "nan", 5, -1, 2), (3, "cat", 5, 5, 2, 2)]
+    write_points(path, rows, "t, class, x, y, w, h")
+    table = read_table(path, ("on",))
+    assert (table.t.tolist(), table.unknown) == ([9], {"cat": 2})
+    path = tmp_path / "a_bbox.npy"
+    np.save(path, np.array([(9, 5, 5, 2, 2, k) for k in (0, 7, 7, 11)], BOXES))
+    assert read_table(path, ("on",)).unknown == {"7": 2, "11": 1}
+
+
+@pytest.mark.parametrize(
+    ("content", "why"), [("[1]", r"got \[1\]"), ("{", "it is not JSON"), ("null", "got None")]
+)
+def test_a_file_of_names_that_names_nothing_is_refused(tmp_path, content, why):
+    write_boxes(tmp_path / "a_bbox.npy")
+    names = tmp_path / "label_map_dictionary.json"
+    names.write_text(content)
+    rule = "must be an object of class numbers and names, in JSON"
+    with pytest.raises(ValueError, match=f"{re.escape(str(names))}: {rule}: {why}"):
+        read_table(tmp_path / "a_bbox.npy", ("on", "off"))
+
+
+@pytest.mark.parametrize(("field", "value"), [("ts", 5.5), ("ts", 1e30), ("class_id", np.nan)])
+def test_times_and_classes_of_boxes_are_whole_numbers(tmp_path, field, value):
+    boxes = np.ones(2, [(name, "f8") for name, _ in BOXES])
+    path = tmp_path / "a_bbox.npy"
+    np.save(path, boxes)
+    assert read_table(path, ("on", "off")).label.tolist() == [1, 1]
+    boxes[field][1] = value
+    np.save(path, boxes)
+    message = f"t and class_id must be whole numbers in int64, got {value}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        read_table(path, ("on", "off"))
+
+
+def test_classes_of_tables_have_names_or_numbers(tmp_path):
+    """Names are sorted. Numbers count from 0 and leave none out; with names they do not mix."""
+
+    def classes_of(*tables):
+        return class_names([tmp_path / name for name in tables])
+
+    def write_numbers(numbers):
+        np.save(tmp_path / "a_bbox.npy", np.array([(9, 5, 5, 2, 2, k) for k in numbers], BOXES))
+
+    write_points(tmp_path / "b_objects.csv")
+    assert classes_of("b_objects.csv") == ("off", "on")
+    write_numbers([*range(11), 3])
+    assert classes_of("a_bbox.npy") == tuple(str(k) for k in range(11))
+    with pytest.raises(ValueError, match="some tables have names of classes, others only numbers"):
+        classes_of("a_bbox.npy", "b_objects.csv")
+    write_numbers([10, 9, 1])
+    with pytest.raises(ValueError, match="must be 0, 1, 2 and so on, got 1, 9, 10; name them in"):
+        classes_of("a_bbox.npy")
+    # DSEC's numbers have names
+    tracks = tmp_path / "object_detections/left/tracks.npy"
+    tracks.parent.mkdir(parents=True)
+    np.save(tracks, np.array([(9, 5, 5, 2, 2, k) for k in (2, 0)], BOXES))
+    assert class_names([tracks]) == ("car", "pedestrian")
+
+
+def test_where_recordings_with_tables_are_looked_for(tmp_path):
+    """A file called `test` is no part of a set. A sequence has both events and boxes."""
+    assert not has_tables(tmp_path / "missing")
+    (tmp_path / "test").touch()
+    assert not has_tables(tmp_path)
+    for name in ("object_detections/left/tracks.npy", "events/left/events.h5"):
+        path = tmp_path / name.split("/")[0] / name
+        path.parent.mkdir(parents=True)
+        path.touch()
+        assert not has_tables(tmp_path)
+    for name in ("object_detections/left/tracks.npy", "events/left/events.h5"):
+        path = tmp_path / "both" / name
+        path.parent.mkdir(parents=True)
+        path.touch()
+    both = tmp_path / "both/events/left/events.h5"
+    assert find_tables(tmp_path) == [(both, tmp_path / "both/object_detections/left/tracks.npy")]
 
 
 @pytest.mark.parametrize(

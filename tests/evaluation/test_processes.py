@@ -4,11 +4,14 @@ Each task is done once, lost workers are replaced, and workers end with the prog
 """
 
 import contextlib
+import logging
 import os
 import socket
 import struct
 import time
+from concurrent.futures import CancelledError
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
@@ -35,9 +38,13 @@ replacing_workers = pytest.mark.parametrize("run", ["processes", "dask"], indire
 NAMES = [f"{k:02d}" for k in range(40)]
 
 
-def test_every_task_is_done_once(run, tmp_path):
+def test_every_task_is_done_once(run, tmp_path, monkeypatch):
+    """Equal tasks, too, and more tasks than a cluster has at a time. Without tasks nothing is."""
+    monkeypatch.setattr(ways, "IN_FLIGHT", 7)
     records = list(run(record_of, make_tasks(tmp_path / "set", NAMES), lost=lost_record))
     assert sorted(record["label"] for record in records) == NAMES
+    assert list(run(twice, [2, 2, 2], lost=twice)) == [4, 4, 4]
+    assert list(run(twice, [], lost=twice)) == []
 
 
 @pytest.mark.parametrize(
@@ -73,6 +80,24 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
 def test_each_task_after_a_lost_worker_gets_a_new_one():
     """No worker is left idle that could take the next task."""
     assert sorted(run_all(end_itself, range(4), 2, lost=twice)) == [0, 2, 4, 6]
+
+
+@posix
+def test_without_a_result_for_lost_tasks_a_lost_worker_is_an_error():
+    with pytest.raises(WorkerEnded):
+        list(run_all(end_itself, range(4), 2))
+
+
+def test_a_scheduler_that_is_gone_is_an_error_of_one_line():
+    def cancelled():
+        raise CancelledError
+
+    with pytest.raises(ConnectionError, match="the Dask scheduler at tcp://a:1 is gone, or has"):
+        ways._result(SimpleNamespace(result=cancelled), "tcp://a:1")
+
+
+def test_without_tasks_no_scheduler_is_needed():
+    assert list(run_on_dask(record_of, [], "nowhere", lost_record)) == []
 
 
 def test_what_cannot_be_pickled_is_an_error():
@@ -177,3 +202,4 @@ def test_an_address_where_no_scheduler_answers(tmp_path, monkeypatch):
             expected = f"no Dask scheduler answers at '{address}'; expected the address that"
             with pytest.raises(ConnectionError, match=f"{expected} `dask scheduler`"):
                 list(run_on_dask(record_of, tasks, address, lost_record))
+            assert logging.root.manager.disable == logging.NOTSET  # as it was before

@@ -148,7 +148,14 @@ def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(
     assert done == [NAMES[1]] and kept == len(NAMES) - 1
     changed = next(record for record in records if record["recording"] == NAMES[1])
     assert change.get("label") == changed["class"]
-    assert collected_to(finished, tasks, noting(done))[1] == len(NAMES) and len(done) == 1
+    # once more: nothing is done, said or written
+    before = finished.stat()
+    _, kept, said = collected_to(finished, tasks, noting(done))
+    assert (kept, said, len(done)) == (len(NAMES), [], 1)
+    assert (finished.stat().st_ino, finished.stat().st_mtime_ns) == (
+        before.st_ino,
+        before.st_mtime_ns,
+    )
 
 
 @pytest.mark.parametrize(
@@ -203,6 +210,15 @@ def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
         ):
             ResultFile(unfinished, JOB)
         assert unfinished.read_bytes() == content
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_file_without_records_is_removed_only_where_it_was_created(tmp_path, is_there):
+    out = tmp_path / "r.jsonl"
+    if is_there:
+        out.touch()
+    ResultFile(out, JOB).close()
+    assert out.exists() == is_there
 
 
 def test_two_programs_at_once_are_refused(unfinished):

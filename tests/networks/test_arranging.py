@@ -141,6 +141,31 @@ def test_after_every_event_they_have_the_bits_of_a_whole_pass(name):
             assert array.tobytes() == expected.tobytes()
 
 
+class JoinedGate(nn.Module):
+    """The means of each half of the channels, joined, multiply all places."""
+
+    def forward(self, x):
+        means = [half.mean((2, 3), keepdim=True) for half in x.chunk(2, 1)]
+        return x * torch.cat(means, 1)
+
+
+@pytest.mark.parametrize("polarity", [0, 1])
+def test_a_gate_of_which_an_event_changes_one_half(polarity):
+    """Each half is computed by a step of its own; either makes all places new."""
+    model = Model.from_torch(JoinedGate(), CONFIG.replace(bins=2, polarity="split"))
+    network = CompiledNetwork(model)
+    whole = CompiledNetwork(model)
+    volume = TNTVolume(model.config)
+    volume.open(0)
+    for k in range(20):
+        volume.update_one(100 * k, k % 10, k % 6, polarity)
+        (array,) = network.refresh(volume)
+        (expected,) = whole(volume.array)
+        assert array.tobytes() == expected.tobytes()
+    halves = expected.any((1, 2)).reshape(2, 2).any(1)
+    assert halves.tolist() == [polarity == 1, polarity == 0]
+
+
 def test_a_gate_by_hand():
     """The mean of 60 places is 1/60 after one event, and each place is multiplied by it."""
 

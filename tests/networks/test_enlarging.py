@@ -141,6 +141,7 @@ def test_transposed_convolutions_of_all_sizes_are_exact_or_refused(data):
         assert not is_whole or "cuts off places" in str(error)
         return
     top, left, bottom, right = found.padding
+    assert min(found.padding) >= 0
     small = F.conv2d(
         F.pad(x, (left, right, top, bottom)),
         torch.tensor(found.weight, dtype=torch.float64),
@@ -148,6 +149,23 @@ def test_transposed_convolutions_of_all_sizes_are_exact_or_refused(data):
         groups=found.groups,
     )
     torch.testing.assert_close(F.pixel_shuffle(small, found.block), wanted, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("side", range(4))
+def test_a_transposed_convolution_that_cuts_off_a_side_is_refused(side):
+    padding = [0, 0, 0, 0]
+    padding[side] = 1
+    with pytest.raises(NotImplementedError, match="convolution that cuts off places"):
+        transposed_convolution(
+            np.ones((4, 2, 1, 1), np.float32),
+            None,
+            (4, 3),
+            stride=(1, 1),
+            padding=padding,
+            output_padding=(0, 0),
+            dilation=(1, 1),
+            groups=1,
+        )
 
 
 def test_focus_takes_every_second_row_and_column():

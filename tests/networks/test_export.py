@@ -17,6 +17,7 @@ from torch import nn
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.base.package import __version__
 from async_tnt.networks import to_onnx
+from async_tnt.networks.layers import conversion_check
 from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.onnx import export as onnx_export
 
@@ -98,6 +99,8 @@ def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large,
         ((1e-3, 1e-3), 5e-7, True),
         ((1e-3, 1e-3), 5e-6, False),
         ((np.nan, np.nan), 0, True),
+        ((np.inf, -np.inf), 0, True),
+        ((1.0, -np.inf), np.inf, False),  # no number
     ],
 )
 def test_numbers_that_make_no_difference_to_a_softmax_may_differ_more(numbers, difference, is_same):
@@ -134,6 +137,60 @@ def test_a_difference_that_one_kind_of_volume_shows_is_found(shows):
 
     with pytest.raises(ValueError, match="its layers compute other numbers"):
         compare(network, other, (2, 6, 5))
+
+
+def test_numbers_without_an_axis_of_the_batch_stay_as_they_are():
+    for numbers, expected in (
+        (np.ones((1, 3)), (3,)),
+        (np.ones((2, 3)), (2, 3)),
+        (np.ones(()), ()),
+    ):
+        assert conversion_check.without_batch(numbers).shape == expected
+    assert conversion_check.without_batch(np.ones((2, 3)), 2).shape == (3,)
+
+
+@pytest.mark.parametrize(("long_s", "n_compared"), [(-1.0, 3), (1e9, 8)])
+def test_three_kinds_of_volumes_are_compared_however_long_that_takes(
+    long_s, n_compared, monkeypatch
+):
+    """Any numbers, sparse counts, and those that are dense in a corner."""
+    monkeypatch.setattr(conversion_check, "LONG_S", long_s)
+    seen = []
+
+    def network(volume):
+        seen.append(volume)
+        return [np.ones(2)]
+
+    compare(network, lambda volume: [np.ones(2)], (2, 6, 5))
+    assert len(seen) == n_compared
+    normal, counts, dense = seen[:3]
+    assert (normal != np.rint(normal)).all()
+    assert np.abs(counts).max() > 0 and (counts == 0).mean() > 0.8
+    assert dense[:, :4, :3].mean() > 3 and not dense[:, 4:].any() and not dense[..., 3:].any()
+
+
+def test_a_network_may_change_the_volume_on_which_it_is_compared():
+    def original(volume):
+        answer = [volume.sum(keepdims=True)]
+        volume[:] = 0
+        return answer
+
+    compare(original, lambda volume: [volume.sum(keepdims=True)], (2, 6, 5))
+
+
+@pytest.mark.parametrize(("difference", "is_same"), [(3e-3, True), (5e-3, False)])
+def test_numbers_may_differ_by_four_times_the_error_of_rounding(difference, is_same):
+    """The layers' own error is 1e-3, where 1e-4 may be without one."""
+    expected = nullcontext()
+    if not is_same:
+        expected = pytest.raises(ValueError, match="its layers compute other numbers")
+    with expected:
+        compare(
+            lambda volume: [np.array([1 + difference])],
+            lambda volume: [np.ones(1)],
+            (2, 6, 5),
+            exact=lambda volume: [np.array([1 + 1e-3])],
+        )
 
 
 # -- the command -----------------------------------------------------------------------------------

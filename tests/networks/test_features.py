@@ -90,6 +90,21 @@ def test_the_bundled_models(tmp_path):
     assert loaded.output_shapes == digits.output_shapes
 
 
+def test_behind_several_flattens_lies_the_map():
+    shape = {"kernel": [1, 1], "stride": [1, 1], "padding": [0] * 4, "dilation": [1, 1]}
+    conv = {"op": "conv", "name": "map", "inputs": ["volume"], **shape, "groups": 1}
+    layers = [
+        conv | {"weights": {"weight": "w"}},
+        {"op": "flatten", "name": "flat", "inputs": ["map"]},
+        {"op": "flatten", "name": "flatter", "inputs": ["flat"]},
+        {"op": "dense", "name": "last", "inputs": ["flatter"], "weights": {"weight": "v"}},
+    ]
+    weights = {"w": np.ones((2, 4, 1, 1)), "v": np.ones((3, 2 * 16 * 20))}
+    model = Model(CONFIG, weights, ["a", "b", "c"], network={"classifier": layers})
+    for layer in (None, "map", "flat", "flatter"):
+        assert model.features(layer).output_shapes == {"features": (2, 16, 20)}
+
+
 def test_a_landmark_network_stays():
     model = random_model(TNTConfig(landmark="regressor"))
     processor = Processor(model.features())

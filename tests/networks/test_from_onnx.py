@@ -761,6 +761,7 @@ def test_onnxruntime_takes_the_class_names_of_a_configuration(tmp_path, config_f
 
     assert type(engine_of("left", "right").classifier) is OnnxClassifier
     assert list(engine_of("left", "right").classes) == ["left", "right"]
+    assert list(engine_of(4, 7).classes) == ["4", "7"]
     for classes in (["a"], ["a", "b", "c"]):
         message = f"{config_file}: {len(classes)} classes, but {path} computes 2"
         with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
@@ -781,6 +782,14 @@ def test_a_sensor_that_is_read_is_for_map_models_alone(tmp_path):
         path = model.save(tmp_path / "m.safetensors")
         read = choose_engine(path, map_sensor=(40, 30)).model
         assert read.config.sensor == (config.sensor if n_places == 1 else (40, 30))
+
+
+def test_the_end_of_a_files_name_may_be_in_capitals(tmp_path):
+    model = load_model("digits")
+    path = tmp_path / "DIGITS.ONNX"
+    path.write_bytes(to_onnx(model).SerializeToString())
+    assert load_model(path).classes == model.classes
+    assert type(choose_engine(path).classifier) is OnnxClassifier
 
 
 def test_a_file_of_this_package_takes_no_configuration(tmp_path, config_file):

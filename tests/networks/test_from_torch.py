@@ -14,6 +14,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, load_model
+from async_tnt.networks.layers.refusals import Refusals, RefusedError
 from async_tnt.networks.torch.from_torch import layers_from_torch
 from async_tnt.networks.torch.operations import HeatmapCentroid
 
@@ -280,6 +281,20 @@ def test_a_message_counts_the_calls_of_each_kind_and_names_ten_kinds():
     assert parts[0] == "operation 'exp' (exp) has no compiled form (3 of these)"
     assert parts[1] == "operation 'sin' (sin) has no compiled form (2 of these)"
     assert len(parts) == 11 and parts[-1] == "and 2 more kinds"
+
+
+@pytest.mark.parametrize("n_kinds", [1, 10, 11])
+def test_a_message_counts_the_kinds_that_it_does_not_name(n_kinds):
+    refusals = Refusals()
+    assert not refusals
+    refusals.raise_if_any()
+    for k in range(n_kinds):
+        refusals.add(RefusedError(f"kind {k}", f"part {k}"))
+    parts = [f"part {k}" for k in range(min(n_kinds, 10))]
+    if n_kinds == 11:
+        parts.append("and 1 more kind")
+    with pytest.raises(NotImplementedError, match=f"^{'; '.join(parts)}$"):
+        refusals.raise_if_any()
 
 
 @pytest.mark.parametrize("name", UNREAD)

@@ -23,13 +23,16 @@ from tnt_reference import LayerNetwork
 
 from async_tnt import (
     CompiledClassifier,
+    CompiledNetwork,
     CompiledRegressor,
+    Model,
     Processor,
     TNTConfig,
     TNTVolume,
 )
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.volume import state as S
+from async_tnt.networks.models.compiled_network import compiled_network_of
 from async_tnt.volume import state as volume_state
 
 DUPLICATES = {
@@ -172,6 +175,75 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
         pickle.loads(pickle.dumps(classifier))
     classifier.network.program[P.EPOCH] = number  # had it kept the number, it would have been wrong
     assert classifier.refresh(here).tobytes() != expected
+
+
+PLAIN = TNTConfig(sensor=(6, 5), grid=(6, 5), bins=2, window_us=1000, transform="none")
+"""A place of the volume is a pixel."""
+
+
+def network_of(kind: str) -> CompiledClassifier | CompiledNetwork:
+    """A network whose answer is its volume: its means as logits, a map of objects, or raw."""
+    classes = {"logits": ["a", "b"], "objects": ["a"], "raw": []}[kind]
+    layers = [{"op": "pick", "name": "last", "inputs": ["volume"], "channels": [0, 1]}]
+    if kind == "logits":
+        layers.append({"op": "global_average_pool", "name": "mean", "inputs": ["last"]})
+    outputs = {"map": "last"} if kind == "raw" else {}
+    model = Model(PLAIN, {}, classes, network={"classifier": layers}, outputs=outputs)
+    return compiled_network_of(model)
+
+
+def volume_of(seed: int) -> TNTVolume:
+    volume = TNTVolume(PLAIN)
+    volume.update(random_events(10, seed=seed, duration_us=900, sensor=PLAIN.sensor))
+    return volume
+
+
+def numbers(answer: np.ndarray | tuple[np.ndarray, ...]) -> bytes:
+    return np.array(answer).tobytes()
+
+
+KINDS = ("logits", "objects", "raw")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_network_from_another_process_does_not_know_this_ones_windows(kind, monkeypatch):
+    """As above."""
+    network = network_of(kind)
+    network.refresh(volume_of(1))
+    parcel = pickle.dumps(network)
+    number = int(network.network.program[P.EPOCH])
+    monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))
+    here = volume_of(2)
+    expected = numbers(network_of(kind)(here.array))
+    assert numbers(pickle.loads(parcel).refresh(here)) == expected
+    network.network.program[P.EPOCH] = number
+    assert numbers(network.refresh(here)) != expected
+
+
+@pytest.mark.parametrize("duplicate", ["deepcopy", "pickle"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_copy_of_a_network_answers_with_its_own_numbers(kind, duplicate):
+    """Although the network has shown a view of its map before."""
+    network = network_of(kind)
+    first = volume_of(1)
+    expected = numbers(network.refresh(first))
+    twin = DUPLICATES[duplicate](network)
+    second = volume_of(2)
+    of_second = numbers(network_of(kind)(second.array))
+    assert numbers(twin.refresh(second)) == of_second != expected
+    assert numbers(twin(second.array)) == of_second
+    assert numbers(network.refresh(first)) == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_array_is_read_whatever_its_type_and_its_memory(kind):
+    network = network_of(kind)
+    array = np.random.default_rng(0).integers(-9, 9, PLAIN.shape).astype(np.float32)
+    expected = numbers(network(array))
+    for other in (np.asfortranarray(array), np.repeat(array, 2, 2)[:, :, ::2], array.astype("f8")):
+        other.flags.writeable = False
+        assert numbers(network(other)) == expected
+        assert numbers(network(np.zeros(PLAIN.shape, np.float32))) != expected
 
 
 # -- the log, a ring of the newest events' places --------------------------------------------------

@@ -16,6 +16,8 @@ from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
 from async_tnt import CompiledClassifier, Model, load_model
 from async_tnt.networks.layers import graph
 from async_tnt.networks.layers.graph import layer_shapes
+from async_tnt.networks.layers.lowering import steps_of
+from async_tnt.networks.layers.steps import Map
 
 
 def test_the_thesis_layers_are_those_of_the_references_modules():
@@ -181,6 +183,176 @@ def test_parameters_have_their_kind_of_number(op, parameters, message):
     where = f"layer '{op} 0' ({op}): "
     with pytest.raises(ValueError, match=f"^{re.escape(where + message)}"):
         layer_shapes(layers, (4, 6, 5), {})
+
+
+SOURCES = [
+    {"op": "max_pool", "name": "pooled", "inputs": ["volume"], **window(2, 0, 2)},
+    {"op": "pick", "name": "first", "inputs": ["volume"], "channels": [0]},
+    {"op": "pick", "name": "two", "inputs": ["volume"], "channels": [0, 1]},
+    {"op": "global_average_pool", "name": "place", "inputs": ["volume"]},
+    {"op": "flatten", "name": "four", "inputs": ["place"]},
+    {"op": "dense", "name": "one", "inputs": ["four"], "weights": {"weight": "1 x 4"}},
+]
+"""Inputs (4, 3, 2), (1, 6, 5), (2, 6, 5), (4, 1, 1), (4,) and (1,), of a volume (4, 6, 5)."""
+
+TENSORS = {
+    "1": (1,),
+    "3": (3,),
+    "4": (4,),
+    "0 x 4": (0, 4),
+    "1 x 4": (1, 4),
+    "3 x 4": (3, 4),
+    "3 x 5": (3, 5),
+    "()": (),
+}
+"""Name -> shape of weights."""
+
+
+def weights(**names):
+    return {"weights": names}
+
+
+@pytest.mark.parametrize(
+    ("op", "inputs", "parameters", "shape"),
+    [
+        ("add", ["volume"] * 3, {}, (4, 6, 5)),
+        ("add", ["place", "volume"], {}, (4, 6, 5)),
+        ("add", ["first", "place"], {}, (4, 6, 5)),
+        ("multiply", ["volume", "first"], {}, (4, 6, 5)),
+        ("multiply", ["four", "four"], {}, (4,)),
+        ("concat", ["volume", "first"], {}, (5, 6, 5)),
+        ("concat", ["one", "four"], {}, (5,)),
+        ("pick", ["volume"], {"channels": [3]}, (1, 6, 5)),
+        ("depth_to_space", ["volume"], {"block": 2}, (1, 12, 10)),
+        ("expand", ["place"], {"size": [3, 2]}, (4, 3, 2)),
+        ("heatmap_centroid", ["first"], {}, (2,)),
+        ("dense", ["four"], weights(weight="3 x 4", bias="3"), (3,)),
+        ("prelu", ["volume"], weights(slope="1"), (4, 6, 5)),
+        ("prelu", ["volume"], weights(slope="4"), (4, 6, 5)),
+        ("max_pool", ["volume"], window(2) | {"stride": [32767, 1]}, (4, 1, 4)),
+        ("bilinear_corners", ["volume"], {"block": 64}, (4, 384, 320)),
+        ("softshrink", ["volume"], {"lambd": 0}, (4, 6, 5)),
+    ],
+)
+def test_the_shape_of_what_fits(op, inputs, parameters, shape):
+    layer = {"op": op, "name": "tested", "inputs": inputs, **parameters}
+    assert layer_shapes([*SOURCES, layer], (4, 6, 5), TENSORS)["tested"] == shape
+
+
+NO_MAP = "its input must be a map (C, H, W), got (4,)"
+ONE_SHAPE = "its inputs must have one shape"
+
+
+@pytest.mark.parametrize(
+    ("op", "inputs", "parameters", "message"),
+    [
+        ("add", ["volume", "place", "place"], {}, f"{ONE_SHAPE}, got (4, 6, 5), (4, 1, 1), (4, "),
+        ("add", ["volume", "pooled"], {}, f"{ONE_SHAPE}, or one place or channel for all, got (4"),
+        ("add", ["volume", "two"], {}, f"{ONE_SHAPE}, or one place or channel for all, got (4, 6"),
+        ("multiply", ["four", "place"], {}, f"{ONE_SHAPE}, or one place or channel for all, got ("),
+        ("multiply", ["four", "one"], {}, f"{ONE_SHAPE}, or one place or channel for all, got (4,"),
+        ("multiply", ["volume"] * 3, {}, "must have 2 inputs, got 3"),
+        ("concat", ["volume", "pooled"], {}, "its inputs must differ in their channels only, got "),
+        (
+            "concat",
+            ["four", "place"],
+            {},
+            "its inputs must differ in their channels only, got (4,)",
+        ),
+        ("pick", ["volume"], {"channels": [0, 4]}, "its channels must be below 4, got 4"),
+        (
+            "pick",
+            ["volume"],
+            {"channels": []},
+            "`channels` must be a list of at least one whole nu",
+        ),
+        (
+            "pick",
+            ["volume"],
+            {"channels": [-1]},
+            "`channels` must be a list of at least one whole ",
+        ),
+        ("depth_to_space", ["volume"], {"block": 4}, "blocks of 4 x 4 must divide its 4 channels"),
+        ("expand", ["volume"], {"size": [3, 2]}, "its input must be a map of one place, got (4, 6"),
+        ("expand", ["four"], {"size": [3, 2]}, "its input must be a map of one place, got (4,)"),
+        ("heatmap_centroid", ["two"], {}, "its input must be a heatmap (1, H, W), got (2, 6, 5)"),
+        ("heatmap_centroid", ["one"], {}, "its input must be a heatmap (1, H, W), got (1,)"),
+        ("dense", ["volume"], weights(weight="3 x 4"), "its input must be flat, got (4, 6, 5): a "),
+        ("dense", ["four"], weights(weight="0 x 4"), "it must have at least one unit"),
+        ("dense", ["four"], weights(weight="()"), "it must have at least one unit"),
+        (
+            "dense",
+            ["four"],
+            weights(weight="3 x 5"),
+            "its weight must have shape (3, 4) here, got ",
+        ),
+        (
+            "dense",
+            ["four"],
+            weights(weight="3 x 4", bias="4"),
+            "its bias must have shape (3,) here",
+        ),
+        ("prelu", ["volume"], weights(slope="3"), "its slope must have shape (4,) here, got (3,)"),
+        (
+            "prelu",
+            ["volume"],
+            weights(slope=4),
+            "`weights` must map roles to names of tensors, got",
+        ),
+        ("prelu", ["volume"], weights(slope="5"), "no tensor is named '5'"),
+        ("relu", [3], {}, "`inputs` must be a list of names, got [3]"),
+        (
+            "layer_norm",
+            ["volume"],
+            {"epsilon": 0, **weights(bias="3")},
+            "its bias must have shape (",
+        ),
+        (
+            "group_norm",
+            ["volume"],
+            {"epsilon": 0, "groups": 3, **weights()},
+            "its 3 groups must divide its 4 channels",
+        ),
+        ("group_norm", ["four"], {"epsilon": 0, "groups": 2, **weights()}, NO_MAP),
+        ("depth_to_space", ["four"], {"block": 2}, NO_MAP),
+        ("bilinear_corners", ["four"], {"block": 2}, NO_MAP),
+        ("zero_pad", ["four"], {"padding": [1, 0, 0, 0]}, NO_MAP),
+        ("edge_pad", ["four"], {"padding": [1, 0, 0, 0]}, NO_MAP),
+        ("max_pool", ["four"], window(1), NO_MAP),
+        ("global_average_pool", ["four"], {}, NO_MAP),
+        ("adaptive_average_pool", ["four"], {"size": [1, 1]}, NO_MAP),
+        # the rules of values
+        (
+            "max_pool",
+            ["volume"],
+            window(2) | {"stride": [32768, 1]},
+            "`stride` must be a list of 2 whole numbers from 1 on, got [32768, 1]",
+        ),
+        (
+            "zero_pad",
+            ["volume"],
+            {"padding": [0, 0, 0, -1]},
+            "`padding` must be a list of 4 whole numbers from 0 on, got [0, 0, 0, -1]",
+        ),
+        (
+            "bilinear_corners",
+            ["volume"],
+            {"block": 65},
+            "`block` must be a whole number from 1 to 64, got 65",
+        ),
+        (
+            "softshrink",
+            ["volume"],
+            {"lambd": -1e-9},
+            "`lambd` must be a finite number from 0 on, got -1e-09",
+        ),
+    ],
+)
+def test_what_does_not_fit_an_operation_is_refused(op, inputs, parameters, message):
+    layer = {"op": op, "name": "tested", "inputs": inputs, **parameters}
+    where = f"layer 'tested' ({op}): "
+    with pytest.raises(ValueError, match=f"^{re.escape(where + message)}"):
+        layer_shapes([*SOURCES, layer], (4, 6, 5), TENSORS)
 
 
 def test_limits_may_be_infinite():
@@ -354,6 +526,14 @@ def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(
         ([conv(padding=1)], 3 * 8 * 7 + 6 + 100 + 52, 3 * 8 * 7 * 2),
         # an addition of a pooling takes as long as 16 multiplications
         ([("average_pool", window(2, 0, 2))], 2 * 3 * 2 + 400, 2 * 3 * 2 * 4 * 16),
+        # four taps at each of 3 x 2 places have weights of their own: one a channel, and 16 beside
+        (
+            [("inside_average_pool", window(2, 0, 2))],
+            2 * 3 * 2 + 400 + 4 * 3 * 2 * (2 + 16),
+            2 * 3 * 2 * 4 * 16,
+        ),
+        # two inputs
+        ([("add", {"inputs": ["volume", "volume"]})], 60, 2 * 60),
         # the sum of the layers
         ([("relu", {}), ("relu", {}), ("global_average_pool", {})], 60 + 60 + 2, 60 + 60 + 60),
     ],
@@ -375,7 +555,8 @@ def test_the_cost_of_a_network_by_hand(layers, n_numbers, n_products, monkeypatc
 
 
 def test_small_networks_by_hand():
-    """An activation that nothing reads; a pooling of the size of its map, with padding."""
+    """An activation that nothing reads; a pooling of the size of its map, with padding; the sum of
+    a number and its activation, both read through a flatten."""
     mean = ("global_average_pool", {})
     whole = {"kernel": [6, 5], "padding": [1, 0, 1, 0], "stride": [2, 1]}
     unread = [
@@ -383,7 +564,13 @@ def test_small_networks_by_hand():
         {"op": "flatten", "name": "output", "inputs": ["conv 1"]},
     ]
     pooled = chain(("average_pool", whole), mean, conv())
-    for layers, logit in ((unread, -1.0), (pooled, -5 / 6)):
+    both = [
+        *chain(mean, conv(), ("relu", {})),
+        {"op": "flatten", "name": "number", "inputs": ["conv 1"]},
+        {"op": "flatten", "name": "positive", "inputs": ["relu 2"]},
+        {"op": "add", "name": "sum", "inputs": ["number", "positive"]},
+    ]
+    for layers, logit in ((unread, -1.0), (pooled, -5 / 6), (both, -1.0)):
         model = Model(
             SMALL.replace(bins=1),
             {"w": -np.ones((1, 1, 1, 1))},
@@ -391,6 +578,16 @@ def test_small_networks_by_hand():
             network={"classifier": layers},
         )
         assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
+
+
+def test_an_activation_behind_a_flatten_needs_no_step():
+    """It becomes part of the step before the flatten, as without one."""
+    mean = ("global_average_pool", {})
+    n_steps = [
+        len(steps_of(chain(mean, *between, ("relu", {})), Map(2, 6, 5), {})[0])
+        for between in ([], [("flatten", {})])
+    ]
+    assert n_steps == [2, 2]
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -458,5 +655,12 @@ def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
     monkeypatch.setattr(graph, "MAX_NUMBERS", 1 << 16)
     with pytest.raises(
         ValueError, match=r"^the network's maps need [\d_]+ numbers, more than 2 \* 65_536"
-    ):
+    ) as refused:
+        CompiledClassifier(model)
+    n_numbers = int(re.search(r"[\d_]+", str(refused.value))[0])
+    assert n_numbers % 2 == 0
+    monkeypatch.setattr(graph, "MAX_NUMBERS", n_numbers // 2)
+    CompiledClassifier(model)
+    monkeypatch.setattr(graph, "MAX_NUMBERS", n_numbers // 2 - 1)
+    with pytest.raises(ValueError, match=f"maps need {n_numbers:_} numbers"):
         CompiledClassifier(model)

@@ -537,6 +537,37 @@ def test_places_of_an_adaptive_pooling_divide_the_map_before_it(padding, rows, c
         assert found == pytest.approx((first + (size - 1) / 2, size))
 
 
+PADDING = {"padding": [1, 2, 3, 4]}
+"""Above, to the left, below, and to the right."""
+
+
+@pytest.mark.parametrize(
+    ("op", "parameters", "rows", "columns"),
+    [
+        ("zero_pad", PADDING, (-1, 64), (-2, 66)),
+        ("edge_pad", PADDING, (-1, 64), (-2, 66)),
+        ("depth_to_space", {"block": 2}, (0, 60), (0, 60)),
+        ("bilinear_corners", {"block": 2}, (0, 60), (0, 60)),
+        ("relu", {}, (0, 60), (0, 60)),
+    ],
+)
+def test_places_behind_a_layer_that_makes_a_map_larger(op, parameters, rows, columns):
+    """An adaptive pooling to 4 x 6 places divides it; (first pixel, number of pixels) are told."""
+    one_place = {"kernel": [1, 1], "stride": [1, 1], "padding": [0] * 4, "dilation": [1, 1]}
+    conv = {"op": "conv", "name": "conv", "inputs": ["volume"], **one_place, "groups": 1}
+    layers = [
+        conv | {"weights": {"weight": "w"}},
+        {"op": op, "name": "larger", "inputs": ["conv"], **parameters},
+        {"op": "adaptive_average_pool", "name": "pool", "inputs": ["larger"], "size": [4, 6]},
+    ]
+    n_filters = 8 if op == "depth_to_space" else 2
+    weights = {"w": np.ones((n_filters, 1, 1, 1), np.float32)}
+    places = Model(PIXELS, weights, ["a"], network={"classifier": layers}).places
+    assert (places.dy, places.dx) == pytest.approx((rows[1] / 4, columns[1] / 6))
+    assert places.y0 == pytest.approx(rows[0] + (places.dy - 1) / 2)
+    assert places.x0 == pytest.approx(columns[0] + (places.dx - 1) / 2)
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_places_are_those_of_the_first_input(order):
     """The rows of one lie at 0, 2, ..., those of the other at 1/2, 5/2, ..."""
@@ -553,6 +584,17 @@ def test_places_are_those_of_the_first_input(order):
 
     places = Model.from_torch(Two(), PIXELS, ["a"]).places
     assert (places.y0, places.dy) == (order[0] / 2, 2)
+
+
+def test_places_of_another_network_divide_the_sensor_evenly():
+    """6 columns of 10 pixels, 3 rows of 12: the third column begins at 20, the second row at 12."""
+    logits = np.full((2, 3, 6), -5.0, np.float32)
+    logits[1] = 0.0
+    logits[0, 1, 2] = 5.0
+    config = PIXELS.replace(sensor=(60, 36), grid=(60, 36))
+    processor = Processor(config, classifier=lambda volume: logits, classes=["a"])
+    (found,) = processor.fire().objects
+    assert (found.x, found.y) == pytest.approx((20 + 4.5, 12 + 5.5))
 
 
 @pytest.mark.parametrize("by", ["array", "refresh"])
@@ -691,8 +733,10 @@ def test_by_share_the_cells_stay_and_count_means_over_pixels(counting, sensor):
     [((48, 24), (48, 24)), ((346, 260), (32, 24)), ((1280, 720), (40, 24)), ((9, 90), (24, 240))],
 )
 def test_by_share_the_grid_has_as_many_cells_along_the_shorter_side(counting, sensor, grid):
-    """Both sides are multiples of 8."""
-    assert counting.for_sensor(sensor).config.grid == grid
+    """Both sides are multiples of 8. For its own sensor it stays the model that it is."""
+    model = counting.for_sensor(sensor)
+    assert model.config.grid == grid
+    assert (model is counting) == (sensor == counting.config.sensor)
 
 
 def test_a_stream_through_a_model_by_share_has_the_bits_of_whole_maps(counting, tmp_path):
@@ -725,6 +769,15 @@ def test_only_a_model_of_objects_knows_them_by_share():
         replace(random_model(CONFIG), by_share=True)
     with pytest.raises(TypeError, match="`by_share` must be a bool, got 1"):
         replace(map_model(), by_share=1)
+    assert not replace(map_model(), by_share=True).features().by_share
+
+
+def test_a_sensor_has_two_sides():
+    for by_share in (False, True):
+        with pytest.raises(
+            ValueError, match=r"`sensor` must be \(width, height\), got \(70, 40, 2"
+        ):
+            replace(map_model(), by_share=by_share).for_sensor((70, 40, 2))
 
 
 def test_what_a_map_model_refuses():

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
-from made import thesis_model
+from made import raw_model, thesis_model
 from networks.random_networks import random_models
+from networks.random_spiking import random_spiking_model
 from networks.small import (
     CLASSES,
     SMALL,
@@ -25,9 +26,11 @@ from networks.small import (
     write_file,
 )
 from safetensors import safe_open
+from torch import nn
 
-from async_tnt import CompiledClassifier, bundled_models, load_model
+from async_tnt import CompiledClassifier, Model, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
+from async_tnt.networks.models.model_file import checksum, checksum_of
 
 
 @given(random_models())
@@ -87,6 +90,21 @@ def test_the_multiplications_of_a_classifier_by_hand():
     assert small_model(config=WITH_REGRESSOR).multiplications == expected
 
 
+def test_only_convolutions_and_dense_layers_have_multiplications_that_count():
+    """3 x 3 weights of one channel in each of two groups, at 2 x 4 x 3 places; 2 to 3 units."""
+    net = nn.Sequential(
+        nn.Conv2d(2, 2, 3, groups=2),
+        nn.BatchNorm2d(2),
+        nn.PReLU(2),
+        nn.GroupNorm(1, 2),
+        nn.AdaptiveAvgPool2d(1),
+        nn.Flatten(),
+        nn.Linear(2, 3),
+    )
+    model = Model.from_torch(net.eval(), SMALL, CLASSES)
+    assert model.multiplications == 24 * 9 + 6
+
+
 @pytest.mark.parametrize("dtype", ["f2", ">f4", "u1"])
 def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
     weights = {name: np.asfortranarray(np.ceil(np.abs(w)), dtype) for name, w in changed().items()}
@@ -97,6 +115,45 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
         assert values.flags.c_contiguous
         assert not np.may_share_memory(values, weights[name])
         np.testing.assert_array_equal(values, weights[name])
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (small_model(), "async_tnt 2"),
+        (raw_model(SMALL), "async_tnt 3"),
+        (random_spiking_model(0), "async_tnt 4"),
+        (random_spiking_model(0, raw=True), "async_tnt 4"),
+    ],
+)
+def test_the_format_of_a_file_is_one_that_older_releases_refuse(model, expected, tmp_path):
+    """Those that cannot run such a model; with statistics: see `teaching/test_taught_models.py`."""
+    with safe_open(model.save(tmp_path / "m"), "numpy") as file:
+        assert file.metadata()["format"] == expected
+
+
+def test_a_checksum_is_of_names_types_shapes_and_bytes():
+    """In any order, and however they lie in memory."""
+    zeros = np.zeros((2, 3), np.float32)
+    ones = np.ones((2, 2), np.float32)
+    expected = checksum({"a": zeros, "b": ones}, "text")
+    assert checksum({"b": np.asfortranarray(ones), "a": zeros[:, ::-1]}, "text") == expected
+    others = [
+        ({"a": zeros, "c": ones}, "text"),
+        ({"a": zeros.view(np.int32), "b": ones}, "text"),
+        ({"a": zeros.T, "b": ones}, "text"),
+        ({"a": zeros, "b": 2 * ones}, "text"),
+        ({"a": zeros, "b": ones}, "texts"),
+    ]
+    assert len({expected, *(checksum(*other) for other in others)}) == 6
+
+
+def test_the_checksum_of_a_file_is_of_all_metadata_but_itself():
+    metadata = small_model().description() | {"network": "[]", "statistics": "{}"}
+    expected = checksum_of({}, metadata)
+    assert checksum_of({}, metadata | {"sha256": "0"}) == expected
+    for name in metadata:
+        assert checksum_of({}, metadata | {name: "0"}) != expected
 
 
 def test_what_cannot_be_saved_leaves_nothing(tmp_path):
@@ -215,6 +272,12 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
         ),
         ({"classes": "abc"}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),
         ({"record": None}, TypeError, "`record` must be a mapping, got None"),
+        ({"record": [("a", 1)]}, TypeError, "`record` must be a mapping, got [('a', 1)]"),
+        (
+            {"weights": changed(fc1__bias=np.zeros(4, bool))},
+            TypeError,
+            "`fc1.bias` must be an array of numbers, got bool",
+        ),
         (
             {"weights": changed(fc1__bias=np.zeros(4, complex))},
             TypeError,

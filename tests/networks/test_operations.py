@@ -12,7 +12,7 @@ import torch
 from networks.foreign import onnx
 from networks.random_networks import DRAWN
 
-from async_tnt import CompiledClassifier, Model, TNTConfig
+from async_tnt import CompiledClassifier, CompiledNetwork, Model, TNTConfig
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.layers import operations
 from async_tnt.networks.layers.graph import layer_shapes
@@ -174,6 +174,44 @@ def test_all_forms_of_an_operation_compute_the_same(op, changed):
     for classifier in (CompiledClassifier(model), OnnxClassifier(to_onnx(model))):
         assert np.abs(classifier(volume) - expected).max() <= 1e-5 * np.abs(expected).max()
     assert layers_from_torch(reference, SHAPE)[0] == layers
+
+
+CHANGES = {
+    "relu": ("relu", {}),
+    "leaky": ("leaky_relu", {"slope": 0.5}),
+    "steep": ("leaky_relu", {"slope": 3.0}),
+    "prelu": ("prelu", {}),
+    "below": ("clip", {"low": None, "high": -0.25}),
+    "above": ("clip", {"low": 0.25, "high": None}),
+    "norm": ("batch_norm", {"epsilon": 0.5}),
+    "hardsigmoid": ("hardsigmoid", {}),
+}
+"""What may become part of the step before."""
+
+
+@pytest.mark.parametrize("first", CHANGES)
+def test_two_changes_of_a_step_are_done_one_after_the_other(first):
+    """A step has one activation, so most second ones need another step."""
+    rng = np.random.default_rng(0)
+    shapes = {"kernel": (4, 4, 1, 1), **WEIGHTS["batch_norm"], **WEIGHTS["prelu"]}
+    values = {name: rng.uniform(0.1, 1.0, shape).astype("f4") for name, shape in shapes.items()}
+    values["kernel"] = rng.normal(size=shapes["kernel"]).astype("f4")
+    volume = rng.normal(size=SHAPE).astype(np.float32)
+    for second in CHANGES:
+        layers = [layer("conv", "conv", "volume", weights={"weight": "kernel"}, **ONE_PLACE)]
+        used = {"kernel"}
+        for name, (op, parameters) in (("one", CHANGES[first]), ("two", CHANGES[second])):
+            roles = {role: role for role in WEIGHTS.get(op, {})}
+            used |= set(roles)
+            fields = parameters | ({"weights": roles} if roles else {})
+            layers.append(layer(op, name, layers[-1]["name"], **fields))
+        weights = {name: values[name] for name in used}
+        reference = tnt_reference.layers.LayerNetwork(layers, weights).double().eval()
+        with torch.no_grad():
+            expected = reference(torch.tensor(volume).double()[None])[0].numpy()
+        model = Model(CONFIG, weights, network={"classifier": layers}, outputs={"out": "two"})
+        (found,) = CompiledNetwork(model)(volume)
+        np.testing.assert_allclose(found, expected, atol=1e-5, err_msg=second)
 
 
 @pytest.mark.parametrize("op", ["average_pool", "sum_pool", "inside_average_pool"])

@@ -244,6 +244,38 @@ def test_what_is_no_network_no_volume_and_no_logits(call, error, message):
         call()
 
 
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        ((), (1,)),
+        ((1,), (1,)),
+        ((3,), (3,)),
+        ((1, 3), (3,)),
+        ((1, 3, 1, 1), (3,)),
+        ((1, 1, 3), (3,)),
+        ((2, 5, 4), (2, 5, 4)),
+        ((1, 2, 5, 4), (2, 5, 4)),
+        # no numbers, several volumes, a map without a channel for nothing
+        ((0,), None),
+        ((1, 0), None),
+        ((2, 3), None),
+        ((2, 3, 5, 4), None),
+        ((1, 5, 4), None),
+        ((1, 1, 5, 4), None),
+        ((1, 1, 2, 5, 4), None),
+    ],
+)
+def test_the_shape_in_which_an_answer_is_read(shape, expected):
+    classifier = TorchClassifier(lambda volume: torch.zeros(shape))
+    if expected is not None:
+        assert classifier(VOLUME).shape == expected
+        return
+    with pytest.raises(
+        ValueError, match=rf"^the module must .*, got shape {re.escape(str(shape))}"
+    ):
+        classifier(VOLUME)
+
+
 def test_copies_and_pickles_open_the_network_again(tmp_path):
     path = tmp_path / "net.onnx"
     path.write_bytes(to_onnx(random_model(CONFIG, classes=3, widths=(2, 2, 2))).SerializeToString())

@@ -1,6 +1,9 @@
 """Networks of raw outputs: their names from torch and ONNX, their files, what is refused."""
 
 from collections import OrderedDict
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +74,8 @@ def test_a_module_may_return_tensors_in_any_order_and_nesting(kind, tmp_path):
     model = Model.from_torch(module, SMALL)
     if names is None:
         names = ["output.0.x", "output.0.scales.0", "output.1"]
-    assert list(model.outputs) == names and model.classes == () and model.places is None
+    assert list(model.outputs) == names and model.classes == ()
+    assert model.places is None and not model.has_sizes
     volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
     expected = [array[0] for array in numbers_of(module(torch.tensor(volume)[None]))]
     assert list(model.output_shapes.values()) == [array.shape for array in expected]
@@ -150,6 +154,29 @@ def test_outputs_for_another_sensor():
     assert large.output_shapes == {"flow": (2, 60, 50), "half": (3, 30, 25), "mean": (3,)}
 
 
+def test_a_model_says_which_outputs_it_has_in_one_line():
+    outputs = "flow 2x6x5, half 3x3x3, mean 3"
+    assert repr(raw_model(SMALL)) == f"Model({outputs}, 9x8 -> 2x6x5, 2 conv, 90 weights)"
+
+
+def test_a_model_keeps_its_outputs_whatever_becomes_of_the_mapping_it_was_made_of():
+    model = raw_model(SMALL)
+    given = dict(model.outputs)
+    again = replace(model, outputs=given)
+    given.clear()
+    assert again.outputs == model.outputs
+
+
+def test_outputs_that_were_answered_are_not_changed_by_the_next_call():
+    network = CompiledNetwork(raw_model(SMALL))
+    first = network(np.ones(SMALL.shape, np.float32))
+    kept = [array.copy() for array in first]
+    second = network(np.zeros(SMALL.shape, np.float32))
+    for array, before, after in zip(first, kept, second, strict=True):
+        np.testing.assert_array_equal(array, before)
+        assert not np.array_equal(array, after)
+
+
 def test_what_is_neither_or_both_is_refused():
     model = raw_model(SMALL)
     parts = {"network": model.network, "outputs": model.outputs}
@@ -159,6 +186,10 @@ def test_what_is_neither_or_both_is_refused():
         Model(SMALL, model.weights, network=model.network)
     with pytest.raises(TypeError, match="`outputs` must map names to names of layers"):
         Model(SMALL, model.weights, network=model.network, outputs=["flow"])
+    with pytest.raises(TypeError, match="`outputs` must map names to names of layers"):
+        Model(SMALL, model.weights, network=model.network, outputs={"flow": 3})
+    with pytest.raises(ValueError, match="`outputs` must have names that can be printed"):
+        Model(SMALL, model.weights, network=model.network, outputs={"": "flow"})
     with pytest.raises(ValueError, match="no layer is named 'flows', which is an output"):
         Model(SMALL, model.weights, network=model.network, outputs={"flow": "flows"})
     flat = nn.Sequential(nn.Conv2d(2, 3, 3), nn.Flatten())
@@ -268,6 +299,20 @@ def test_a_small_channel_beside_a_large_one_is_compared_by_itself():
     compare(beside_large(1, 1.0), beside_large(1, 1 + 1e-5), SMALL.shape, is_raw=True)
     with pytest.raises(ValueError, match="its layers compute other numbers"):
         compare(beside_large(1, 1.0), beside_large(1, 1.1), SMALL.shape, is_raw=True)
+
+
+@pytest.mark.parametrize(("rest", "is_same"), [(0.5e-6, True), (2e-6, False)])
+def test_what_is_left_where_numbers_cancel_may_be_a_billionth_of_the_largest(rest, is_same):
+    """In a channel of zeros, beside one of 1000."""
+
+    def network(volume, rest=0.0):
+        return [np.stack([np.full((3, 3), 1e3), np.full((3, 3), rest)])]
+
+    expected = nullcontext()
+    if not is_same:
+        expected = pytest.raises(ValueError, match="its layers compute other numbers")
+    with expected:
+        compare(network, partial(network, rest=rest), SMALL.shape, is_raw=True)
 
 
 def test_raw_outputs_must_have_the_shape_of_their_layers():

@@ -36,6 +36,47 @@ def test_by_hand():
     assert work.whole == 15 * 21 * 4 * 18 + 14 * 20 * 6 * 18 + 7 * 10 * 6
 
 
+@pytest.mark.parametrize(
+    ("changes", "n_blocks"),
+    [
+        ({"grid": (13, 9)}, 4),  # rows 3 and 4, columns 5 and 6
+        ({"transform": "tnt"}, 2),  # rows 6 and 7, columns 9 and 10
+    ],
+)
+def test_an_event_between_pixels_changes_two_rows_and_two_columns(changes, n_blocks):
+    """They are seen by 4 x 4 places, and by so many blocks of 2 x 2."""
+    model = Model.from_torch(nn.Conv2d(2, 4, 3, padding=1), ON_PIXELS.replace(**changes))
+    assert model.work_of_one_event.touched == 16 * 4 * 18
+    halves = Model.from_torch(nn.Conv2d(2, 4, 2, stride=2), model.config)
+    assert halves.work_of_one_event.touched == n_blocks * 4 * 8
+
+
+def test_what_one_of_two_joined_maps_sees_reaches_on():
+    """One sees the pixel at 3 x 3 places, the other one at a single place."""
+
+    class Joined(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.wide = nn.Conv2d(2, 4, 3, padding=1)
+            self.narrow = nn.Conv2d(2, 4, 1)
+            self.last = nn.Conv2d(8, 5, 1)
+
+        def forward(self, x):
+            return self.last(torch.cat([self.wide(x), self.narrow(x)], 1))
+
+    work = Model.from_torch(Joined(), ON_PIXELS).work_of_one_event
+    assert work.touched == 9 * 4 * 18 + 4 * 2 + 9 * 5 * 8
+
+
+def test_a_mean_has_multiplications_where_each_place_has_weights_of_its_own():
+    """Of 9 pixels in 2 channels; a plain mean is a sum."""
+    plain = Model.from_torch(nn.AvgPool2d(3), ON_PIXELS)
+    adaptive = Model.from_torch(nn.AdaptiveAvgPool2d((5, 7)), ON_PIXELS)
+    assert plain.output_shapes == adaptive.output_shapes == {"output": (2, 5, 7)}
+    assert plain.work_of_one_event.whole == 0
+    assert adaptive.work_of_one_event.whole == 2 * 35 * 9
+
+
 def test_a_gate_of_all_places_makes_everything_new():
     class Gated(nn.Module):
         def __init__(self):

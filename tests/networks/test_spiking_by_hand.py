@@ -5,6 +5,8 @@ import pytest
 
 from async_tnt import Model, Processor, SpikingVolume, TNTConfig
 from async_tnt.base.box import Box
+from async_tnt.kernels.volume.absorb import ABSORBED, REFUSED
+from async_tnt.networks.models.spiking_network import SpikingNetwork
 
 CONFIG = TNTConfig(sensor=(4, 3), grid=(4, 3), representation="count", window_us=1_000_000)
 
@@ -62,6 +64,18 @@ def test_a_neuron_fires_above_its_threshold_not_at_it():
     assert (volume.spikes(), volume.additions()) == (2, 8)
 
 
+def test_what_neurons_did_is_told_by_copies():
+    volume = volume_of(dense_model(integrate("subtract")))
+    push(volume, (10, 1), (20, 1))
+    told = [volume.spike_counts(), volume.first_spikes_us(), volume.membranes()]
+    before = [array.copy() for array in told]
+    push(volume, (30, 0), (40, 0), (50, 0))
+    for array, expected in zip(told, before, strict=True):
+        np.testing.assert_array_equal(array, expected)
+        array[:] = 7.0
+    assert volume.spike_counts().tolist() == [1, 1] and volume.membranes().tolist() == [-0.5, 1.0]
+
+
 def test_a_neuron_has_as_many_spikes_at_once_as_its_threshold_fits():
     """3.5 is 3 times 1 and .5; 3 is 2 times 1 and 1, which is not above the threshold."""
     volume = volume_of(dense_model(integrate("subtract"), on=(3.5, 3.0)))
@@ -113,6 +127,8 @@ def test_a_leaky_integrator_decides_by_its_membrane():
     np.testing.assert_allclose(first.logits, [1.0, 0.25], rtol=1e-6)
     np.testing.assert_allclose(second.logits, [0.0, 0.625], atol=1e-6)
     assert (first.label, second.label) == ("a", "b")
+    assert not SpikingNetwork(model).fires
+    assert SpikingNetwork(dense_model(integrate("subtract"))).fires
 
 
 def cuba(tau_syn, tau_mem, threshold, op="cuba_lif", **fields):
@@ -187,6 +203,31 @@ def test_a_late_event_acts_at_the_time_of_the_newest():
     push(volume, (500, 1))
     assert push(volume, (400, 1))[1] == pytest.approx([2.0, 0.5])
     assert volume.counts.dropped_late == 0
+
+
+def test_a_late_event_is_dropped_or_refused_where_a_stream_says_so():
+    """One event at a time."""
+    model = dense_model(integrate("subtract", [9.0, 9.0]))
+    for late, expected in (("accept", [2.0, 0.5]), ("drop", [1.0, 0.25])):
+        processor = Processor(model, late=late, start_us=0)
+        processor.push((500, 1, 2, 1))
+        processor.push((400, 1, 2, 1))
+        assert processor._windows.oldest.membranes().tolist() == expected
+        assert processor.counts.dropped_late == (late == "drop")
+    processor = Processor(model, late="raise", start_us=0)
+    processor.push((500, 1, 2, 1))
+    with pytest.raises(ValueError, match=r"`t` must .*, got 400"):
+        processor.push((400, 1, 2, 1))
+
+
+def test_a_volume_that_does_not_accept_late_events_looks_at_each():
+    """Its decoder does, which the compiled call of one event passes by."""
+    model = dense_model(integrate("subtract", [9.0, 9.0]))
+    for late, answer in (("accept", ABSORBED), ("drop", REFUSED), ("raise", REFUSED)):
+        volume = SpikingVolume(model, late=late)
+        volume.open(0)
+        assert volume.absorb_one(500, 1, 2, 1) == answer
+        assert volume.n_events == (late == "accept")
 
 
 def test_events_before_the_window_have_no_effect():

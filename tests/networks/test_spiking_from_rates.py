@@ -1,5 +1,7 @@
 """Networks of ReLUs as spiking networks, whose spikes count what the ReLUs compute."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +16,7 @@ from async_tnt import (
     TNTVolume,
 )
 from async_tnt.networks import spiking_from_rates, to_nir
+from async_tnt.networks.models import rate_conversion
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), representation="count", polarity="split")
 CLASSES = ("a", "b", "c", "d")
@@ -217,6 +220,7 @@ def test_it_goes_out_as_a_nir_graph(made):
     assert spiking.record == {"a": 1} and spiking.config == CONFIG
     for order in ("off_first", "on_first"):
         graph = to_nir(spiking, polarity=order)
+        assert json.loads(graph.metadata["classes"]) == list(CLASSES)
         again = Model.from_nir(graph, reset="subtract", classes=CLASSES, polarity=order)
         for one in events[:5]:
             np.testing.assert_array_equal(
@@ -233,6 +237,77 @@ def test_a_percentile_by_hand():
     for percentile, threshold in ((50, 32.5), (100, 64.0)):
         spiking = spiking_from_rates(model, [window], spikes=1, percentile=percentile)
         assert (spiking.weights["1.v_threshold"] == threshold).all()
+
+
+def last_threshold(window, *, percentile, weights=(0.5, 0.5)):
+    """The threshold of one convolution whose logit is told by a window of equal channels."""
+    module = nn.Sequential(nn.Conv2d(2, 1, 1, bias=False))
+    module[0].weight.data[:] = torch.tensor(weights).reshape(1, 2, 1, 1)
+    model = Model.from_torch(module, CONFIG)
+    spiking = spiking_from_rates(model, [np.stack([window] * 2)], spikes=1, percentile=percentile)
+    (name,) = (layer["name"] for layer in spiking.layers if layer["op"] == "if")
+    return float(spiking.weights[f"{name}.v_threshold"].max())
+
+
+def test_logits_below_zero_count_as_zero():
+    """Half of them are -1 to -32, the others 1 to 32: 80 % are up to about 19."""
+    window = np.arange(1.0, 33.0).reshape(4, 8).astype(np.float32)
+    window = np.concatenate([-window, window])
+    assert last_threshold(window, percentile=80) == pytest.approx(19.4, abs=0.01)
+    # between the largest of those and 1 it is between 0 and 1
+    assert last_threshold(window, percentile=50.4) == pytest.approx(0.752, abs=0.001)
+
+
+def test_where_the_percentile_is_zero_the_largest_activation_stands_for_it():
+    window = np.zeros((8, 8), np.float32)
+    window[3, 4] = 7.0
+    assert last_threshold(window, percentile=50) == 7.0
+
+
+def test_of_a_large_layer_evenly_spread_activations_are_read(monkeypatch):
+    """Of 64 at most 21: each fourth, from the first on."""
+    monkeypatch.setattr(rate_conversion, "MOST_OF_A_WINDOW", 21)
+    window = np.arange(1.0, 65.0).reshape(8, 8).astype(np.float32)
+    assert last_threshold(window, percentile=100) == 61.0
+    monkeypatch.setattr(rate_conversion, "MOST_OF_A_WINDOW", 32)
+    assert last_threshold(window, percentile=100) == 63.0
+
+
+@pytest.mark.parametrize(
+    "layers", [[nn.ReLU(), conv(2, 3)], [nn.Flatten(), nn.ReLU(), dense(128, 3)]]
+)
+def test_a_relu_may_read_the_volume_itself(layers):
+    """Of a count of 1 there are 4 spikes, by a threshold of 1/4."""
+    model = positive_model(nn.Sequential(*layers))
+    spiking = spiking_from_rates(model, ONE_WINDOW, spikes=4, percentile=100)
+    first = next(layer for layer in spiking.layers if layer["op"] == "if")
+    assert (spiking.weights[first["weights"]["v_threshold"]] == 0.25).all()
+
+
+def test_names_that_a_network_has_already_are_no_obstacle():
+    """Of layers and of weights that the conversion adds."""
+    shape = {"kernel": [1, 1], "stride": [1, 1], "padding": [0] * 4, "dilation": [1, 1]}
+    layers = []
+    for name, source, weight in (
+        ("one", "volume", "two.neurons_.r"),
+        ("two.neurons", "one", "two.neurons_.v_threshold"),
+        ("two", "two.neurons", "two"),
+    ):
+        layer = {"op": "conv", "name": name, "inputs": [source], **shape, "groups": 1}
+        layers.append(layer | {"weights": {"weight": weight}})
+    weights = {
+        "two.neurons_.r": np.full((1, 2, 1, 1), 2.0),
+        "two.neurons_.v_threshold": np.full((1, 1, 1, 1), 3.0),
+        "two": np.full((1, 1, 1, 1), 5.0),
+    }
+    model = Model(CONFIG, weights, network={"classifier": layers}, outputs={"out": "two"})
+    spiking = spiking_from_rates(model, ONE_WINDOW, spikes=1)
+    assert [layer["name"] for layer in spiking.layers][-1] == "two.neurons_"
+    for name, values in weights.items():
+        np.testing.assert_array_equal(spiking.weights[name], values)
+    # 2 x 2 x 3 x 5
+    threshold = spiking.layers[-1]["weights"]["v_threshold"]
+    assert (spiking.weights[threshold] == 60.0).all()
 
 
 # -- what is refused -------------------------------------------------------------------------------
@@ -283,10 +358,101 @@ def test_arguments():
     refused(module, "`windows` must have at least one window", ValueError, windows=[])
     zeros = [np.zeros((2, 8, 8), np.float32)]
     refused(module, "`windows` must make layer '1' larger than 0", ValueError, windows=zeros)
-    other = CONFIG.replace(grid=(4, 4))
-    refused(module, "`model` must read counts of events", ValueError, config=other)
+    refused(module, "`spikes` must be a positive number, got inf", ValueError, spikes=np.inf)
+    refused(module, r"`percentile` must be in \(0, 100\], got 0", ValueError, percentile=0)
     with pytest.raises(TypeError, match="`model` must be a Model, got 3"):
         spiking_from_rates(3, [])
     spiking = spiking_from_rates(Model.from_torch(module, CONFIG), ONE_WINDOW)
     with pytest.raises(ValueError, match="`model` must be a network of ReLUs"):
         spiking_from_rates(spiking, ONE_WINDOW)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"grid": (4, 4)},
+        {"representation": "time_surface"},
+        {"polarity": "signed"},
+        {"transform": "tnt"},
+        {"window_events": 100, "window_us": None},
+    ],
+)
+def test_a_network_of_something_else_than_counts_at_pixels(settings):
+    config = CONFIG.replace(**settings)
+    module = nn.Sequential(conv(config.shape[0], 3), nn.ReLU())
+    refused(module, "`model` must read counts of events", ValueError, config=config)
+
+
+class Sum(nn.Module):
+    """The sum of two convolutions of the volume."""
+
+    def __init__(self):
+        super().__init__()
+        self.first = conv(2, 3)
+        self.second = conv(2, 3)
+
+    def forward(self, x):
+        return self.first(x) + self.second(x)
+
+
+def test_a_sum_of_equal_scales_needs_no_scaling():
+    spiking = spiking_from_rates(positive_model(Sum()), ONE_WINDOW)
+    assert [layer["op"] for layer in spiking.layers] == ["conv", "conv", "add", "if"]
+
+
+class OfTwo(nn.Module):
+    """Two raw outputs."""
+
+    def __init__(self):
+        super().__init__()
+        self.first = conv(2, 3)
+
+    def forward(self, x):
+        x = self.first(x)
+        return x, torch.relu(x)
+
+
+def test_networks_of_several_outputs_or_of_objects():
+    refused(OfTwo(), "`model` must have classes or one output, and no map", ValueError)
+    objects = Model.from_torch(conv(2, len(CLASSES) + 1), CONFIG, CLASSES)
+    with pytest.raises(ValueError, match="`model` must have classes or one output, and no map"):
+        spiking_from_rates(objects, ONE_WINDOW)
+
+
+def network_with_a_norm():
+    """A convolution and a norm behind it, of which the norm doubles its numbers."""
+    layers = [
+        {
+            "op": "conv",
+            "name": "conv",
+            "inputs": ["volume"],
+            "kernel": [1, 1],
+            "stride": [1, 1],
+            "padding": [0] * 4,
+            "dilation": [1, 1],
+            "groups": 1,
+            "weights": {"weight": "w"},
+        },
+        {
+            "op": "batch_norm",
+            "name": "norm",
+            "inputs": ["conv"],
+            "epsilon": 0.0,
+            "weights": {"mean": "m", "variance": "v"},
+        },
+        {"op": "add", "name": "sum", "inputs": ["norm", "conv"]},
+    ]
+    weights = {"w": np.ones((1, 2, 1, 1)), "m": np.zeros(1), "v": np.full(1, 0.25)}
+    return weights, layers
+
+
+@pytest.mark.parametrize("n_layers, output", [(3, "sum"), (2, "conv")])
+@pytest.mark.parametrize("use", [to_nir, lambda model: spiking_from_rates(model, ONE_WINDOW)])
+def test_a_norm_becomes_no_part_of_a_layer_whose_numbers_another_reads(use, n_layers, output):
+    """The other is a layer, or the caller."""
+    weights, layers = network_with_a_norm()
+    model = Model(
+        CONFIG, weights, network={"classifier": layers[:n_layers]}, outputs={"out": output}
+    )
+    with pytest.raises(NotImplementedError, match=r"layer 'norm' \(batch_norm\): it must be the o"):
+        use(model)

@@ -162,6 +162,19 @@ def test_a_record_that_a_model_cannot_have_made_is_named(evaluation):
     n = len(good["window_start_us"])
     for name, value, message in (
         ("label", "cat", "`label` must be one of the model's classes, got 'cat'"),
+        ("class", "cat", "`class` must be one of the model's classes, got 'cat'"),
+        ("decisions", -1, "`decisions` must be numbers of type int in .*, got -1"),
+        ("off_sensor", 0.5, "`off_sensor` must be numbers of type int in .*, got 0.5"),
+        (
+            "confident",
+            [[10] * 7] * n,
+            r"`confident` must be numbers of type int in \[-1, 9\], got 10",
+        ),
+        (
+            "probability_at",
+            [[1.5] * 10] * n,
+            r"`probability_at` must be numbers of type float in \[-1, 1\], got 1.5",
+        ),
         ("probabilities", [0.5] * 9, "`probabilities` must hold 10 numbers"),
         (
             "probabilities",

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
+from async_tnt.resynthesis import calibration as calibration_module
 from async_tnt.resynthesis.calibration import (
     _scale_thresholds,
     calibrate,
     describe,
     differing_numbers,
+    side_by_side,
 )
 from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import MotionPath
@@ -197,6 +199,71 @@ def test_thresholds_are_scaled_until_there_are_as_many_events():
     assert len(set.union(*drawn)) == 4
 
 
+def test_thresholds_that_are_too_high_for_any_event_are_lowered():
+    class Image:
+        def as_recorded(self, distribution, rng):
+            n = round(10 / distribution.scale) if distribution.scale < 0.5 else 0
+            return np.zeros(n, EVENT_DTYPE)
+
+    pixels, events = _scale_thresholds(SimulatedPixels(MeasuredPixels()), [Image()], 100, 0)
+    assert pixels.scale == pytest.approx(0.1) and len(events[0]) == 100
+
+
+def test_the_refractory_time_whose_intervals_are_most_alike_is_chosen(monkeypatch):
+    """Longer and shorter intervals count alike, by their ratio. The paths' median length is kept.
+    Events of the neighbouring windows, if any, have no effect where a window tells its path."""
+    rng = np.random.default_rng(5)
+    nets = [(4.0, 0.0), (0.0, 5.0), (9.0, 0.0)]
+    windows = [recorded(blobs(rng), straight(net), rng) for net in nets]
+    ratios = {0.0: 0.25, 0.25: 0.75, 0.5: 1.25, 0.75: 3.0}
+
+    def as_if_scaled(pixels, images, n_events, seed):
+        return pixels, [pixels]
+
+    def described(of_windows, sensor):
+        numbers = describe(recorded_events, sensor)
+        if not isinstance(of_windows[0], SimulatedPixels):
+            recorded_events[:] = of_windows
+            return describe(of_windows, sensor)
+        share = of_windows[0].measured.refractory_us / measured.refractory_us
+        ratio = ratios[round(share, 2)]
+        return {name: number * ratio for name, number in numbers.items()}
+
+    recorded_events = []
+    monkeypatch.setattr(calibration_module, "_scale_thresholds", as_if_scaled)
+    monkeypatch.setattr(calibration_module, "describe", described)
+    measured = measure_pixels(windows, SENSOR, WINDOW_US)
+    reconstruction = Reconstruction(SENSOR, WINDOW_US)
+    t, x, y, p = noise(rng, 50)
+    earlier_and_later = [(t - WINDOW_US, x, y, p), (t + WINDOW_US, x, y, p)]
+    wider = [together(window, *earlier_and_later) for window in windows]
+    lengths = [path.length for path, _ in reconstruction(windows, measured)]
+    for given in (windows, wider):
+        found = calibrate(reconstruction, given, seed=0)
+        assert found.pixels.measured.refractory_us == pytest.approx(0.5 * measured.refractory_us)
+        assert found.pixels.measured.step_on == measured.step_on
+        assert found.length == pytest.approx(np.median(lengths))
+        assert sum(map(len, recorded_events)) == sum(len(window[0]) for window in windows)
+        for name, number in found.match["recorded"].items():
+            assert found.match["resynthesized"][name] == pytest.approx(1.25 * number)
+
+
+def test_a_table_of_descriptions_by_hand():
+    """Units stand beside names; a missing number is a dash."""
+    recorded = {"events per window": 1234.567, "same-pixel interval, 5 %": 1.0}
+    name = "a long name of what is only in one of them"
+    other = {"same-pixel interval, 5 %": 2.347, name: 3.0}
+    lines = side_by_side({"recorded": recorded, "again": other}).splitlines()
+    assert [line.split() for line in lines[1:]] == [
+        ["events", "per", "window", "1234.57", "-"],
+        ["same-pixel", "interval,", "5", "%", "[ms]", "1.00", "2.35"],
+        [*name.split(), "-", "3.00"],
+    ]
+    assert {len(line) for line in lines} == {len(name) + 2 * (len("recorded") + 3)}
+    assert lines[0].split() == ["recorded", "again"]
+    assert side_by_side({}) == " " * 36
+
+
 def test_numbers_that_differ_by_a_third_are_unlike():
     """Either way. Intervals below a microsecond are alike."""
     recorded = {"a": 4.0, "b": 4.0, "c": 3.0, "d": 3.0, "e": 0.0, "f": 0.0}
@@ -230,6 +297,23 @@ def test_other_motions_are_half_to_double_as_long_and_nearer_to_the_middle(monke
     assert 13.5 - 0.2 < at_half_time[:, 0].min() < 15
     assert 30 < at_half_time[:, 0].max() < 31.5 + 0.2
     assert np.abs(at_half_time[:, 1] - 16.5).max() == pytest.approx(3, abs=0.2)
+
+
+@pytest.mark.parametrize("span", [1, 3])
+def test_the_recorded_motion_is_that_of_the_window_alone(monkeypatch, span):
+    """It begins where the image is at the window's start, and turns nowhere."""
+    model = Reconstruction(SENSOR, WINDOW_US).model
+    steps = np.stack([np.arange(1.0, N_FRAMES + 1), np.zeros(N_FRAMES)], axis=1)
+    path = MotionPath(steps, span=span)
+    seen = []
+    monkeypatch.setattr(MovedImage, "events", lambda self, *given: seen.append(given))
+    pixels = SimulatedPixels(MeasuredPixels())
+    image = MovedImage(model, np.random.default_rng(0).normal(size=model.shape), path)
+    image.as_recorded(pixels, np.random.default_rng(0))
+    ((displacement, turn, given_pixels, _),) = seen
+    first = N_FRAMES * (span - 1) / 2 / span
+    np.testing.assert_allclose(displacement[:, 0], first + N_FRAMES / span * SHARES)
+    assert not displacement[:, 1].any() and not turn.any() and given_pixels is pixels
 
 
 def test_an_image_is_before_the_sensor_wherever_it_was_on_the_torus():
@@ -334,6 +418,39 @@ def test_random_motions_keep_to_their_ranges():
     turned = np.abs(turns[:, -1] - turns[:, 0]).max(0)
     most = np.array([np.radians(6), 0.06])
     assert (turned > 0.98 * most).all() and (turned <= most).all()
+
+
+def test_half_of_the_motions_are_even_half_straight_and_half_last_the_whole_window():
+    """Those that go sideways do so during a half of their way, which begins in its first half."""
+    rng = np.random.default_rng(0)
+    shares = np.linspace(0, 1, 201)
+    even = []
+    straight_ones = []
+    lasts = []
+    bent = []
+    for _ in range(600):
+        motion, turn = random_motion(6.0, shares, rng)
+        way = (turn[:, 0] - turn[0, 0]) / (turn[-1, 0] - turn[0, 0])  # from 0 to 1
+        steps = np.diff(way)
+        moves = steps > 1e-12
+        lasts.append(moves.mean())
+        even.append(np.ptp(steps[moves][1:-1]) < 1e-9)
+        # what is left of the motion without the straight way
+        net = motion[-1] - motion[0]
+        is_straight = np.hypot(*net) < 6 + 1e-9
+        straight_ones.append(is_straight)
+        rest = motion - motion[0] - way[:, None] * net
+        if is_straight:
+            assert np.abs(rest).max() < 1e-9
+        elif even[-1]:
+            # before and after the bend the rest changes as evenly as the way does
+            slopes = np.diff(rest, axis=0)[moves][1:-1]
+            is_bending = np.abs(np.diff(slopes, axis=0)).max(axis=1) > 1e-9
+            bent.append(is_bending.mean())
+    for values in (even, straight_ones, np.array(lasts) > 0.99):
+        assert 0.43 < np.mean(values) < 0.57
+    assert 0.39 < min(lasts) < 0.45
+    assert len(bent) > 100 and 0.4 < np.median(bent) < 0.55
 
 
 @pytest.mark.parametrize("turn, growth", [(np.pi / 6, 0.0), (0.0, np.log(1.3)), (-0.4, -0.2)])

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight, together
 
-from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
-from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis import paths as paths_module
+from async_tnt.resynthesis import reconstruction as reconstruction_module
+from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage, cell_for
+from async_tnt.resynthesis.paths import MotionPath, PathFinder
 from async_tnt.resynthesis.reconstruction import Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels, part_of
 from async_tnt.simulation.random_motion import minimum_jerk
@@ -82,6 +84,10 @@ def test_neighbours_tell_what_a_window_does_not():
             seen = pictures(scene, [net / 2])[0]
             assert np.corrcoef(moved.ravel(), seen.ravel())[0, 1] > 0.6
             assert image.as_recorded(SimulatedPixels(PIXELS), rng)["t"].max() < third
+    # the image is also found if its path is known
+    k = next(k for k, (path, _) in enumerate(found) if path.span == 3 and not path.refused)
+    again = thirds.image(wide[k], PIXELS, found[k][0])
+    np.testing.assert_allclose(again.picture.image, found[k][1].picture.image, atol=1e-9)
 
 
 def test_where_neighbours_do_not_help_the_windows_own_reason_is_told():
@@ -96,6 +102,150 @@ def test_where_neighbours_do_not_help_the_windows_own_reason_is_told():
     window = t, x, y, p
     ((path, image),) = Reconstruction(SENSOR, WINDOW_US)([window], PIXELS)
     assert (path.refused, path.n_events, path.span, image) == ("few events", 20, 1, None)
+
+
+def test_windows_are_processed_in_batches(reconstruction, monkeypatch):
+    """A window without events of its neighbours is searched once, alone."""
+    rng = np.random.default_rng(1)
+    windows = [recorded(blobs(rng), straight(net), rng) for net in ((6, 0), (0, 5), (-4, 4))]
+    windows.insert(1, noise(rng, 20))
+    expected = list(reconstruction(windows, PIXELS))
+    spans = []
+    frames = MovingImage.frames
+
+    def noting(self, given, pixels, span=1):
+        spans.append((len(given), span))
+        return frames(self, given, pixels, span)
+
+    monkeypatch.setattr(MovingImage, "frames", noting)
+    monkeypatch.setattr(reconstruction_module, "BATCH", 3)
+    found = list(reconstruction(windows, PIXELS))
+    assert spans == [(3, 1), (1, 1)]
+    for (path, _), (expected_path, _) in zip(found, expected, strict=True):
+        np.testing.assert_allclose(path.positions, expected_path.positions, atol=1e-9)
+        assert (path.refused, path.n_events) == (expected_path.refused, expected_path.n_events)
+
+
+def test_halves_of_a_picture_are_left_right_above_and_below_the_middle_of_its_events():
+    """Here of 24 x 10 pixels in cells of two pixels."""
+    rng = np.random.default_rng(0)
+    window = noise(rng, 60, (24, 10))
+    reconstruction = Reconstruction((24, 10), WINDOW_US, cell=2)
+    model = reconstruction.model
+
+    def band_of(*windows):
+        return model.band_of(model.spectra(model.frames(windows, PIXELS)))
+
+    nothing = tuple(column[:0] for column in window)
+    band = band_of(window, nothing)
+    frames = model.frames([window, nothing], PIXELS)
+    halves = reconstruction._halves([window, nothing], frames, band)
+    for k, places in enumerate(window[1:3]):
+        is_first = places // 2 < int(np.median(places)) // 2
+        assert 15 < is_first.sum() < 45
+        for half, is_in in ((2 * k, is_first), (2 * k + 1, ~is_first)):
+            (expected,) = band_of(tuple(column[is_in] for column in window))
+            np.testing.assert_allclose(halves[0, half], expected, atol=1e-9)
+    assert np.abs(halves[1]).max() < 1e-9
+
+
+def made_band(n, seed=0):
+    """A model of 12 x 9 pixels, its path finder, and the spectra of n random windows."""
+    model = MovingImage((12, 9), WINDOW_US)
+    frames = np.cumsum(np.random.default_rng(seed).normal(0, 0.7, (n, N_FRAMES, 9, 12)), axis=1)
+    return model, PathFinder(model), model.band_of(model.spectra(frames))
+
+
+def test_scores_are_the_evidence_of_the_dictionarys_paths():
+    model, finder, band = made_band(2)
+    scores = finder.scores(band)
+    assert scores.shape == (2, len(finder.dictionary))
+    for n in range(2):
+        for d in range(0, len(finder.dictionary), 97):
+            expected, _, _ = model.evidence(band[n : n + 1], finder.dictionary[d])
+            assert scores[n, d] == pytest.approx(expected, rel=1e-4, abs=1e-3)
+
+
+def test_a_margin_is_that_over_paths_that_lead_the_other_way():
+    """A perpendicular path does not lead the other way, however its numbers are rounded."""
+    _, finder, _ = made_band(1)
+    ways = finder.dictionary.mean(axis=1)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    for best in range(0, len(ways), 41):
+        along = ways @ ways[best]
+        scores = np.where(along < -0.1, 2.0, np.where(np.abs(along) < 1e-6, 9.0, 8.0))
+        scores[best] = 10.0
+        scores[along.argmin()] = 7.0
+        assert finder._margin(scores) == 3
+
+
+def test_a_step_of_the_search_is_at_most_one_cell(monkeypatch):
+    monkeypatch.setattr(paths_module, "MOST_STEPS", 1)
+    model, finder, _ = made_band(1)
+    y, x = np.mgrid[:9, :12]
+    scene = np.exp(-((x - 5.5) ** 2 + (y - 4) ** 2) / 8)
+    moved = [np.roll(scene, k // 3, axis=1) - scene for k in range(1, N_FRAMES + 1)]
+    band = model.band_of(model.spectra(20 * np.array([moved])))
+    first = 0.3 * np.stack([np.arange(1.0, N_FRAMES + 1), np.zeros(N_FRAMES)], axis=1) / N_FRAMES
+    path, _ = finder.refine(band, first)
+    assert np.abs(path - first).max() == pytest.approx(1)
+
+
+def test_each_step_of_the_search_gains_evidence_beyond_what_the_prior_subtracts(monkeypatch):
+    """From paths far from the likeliest one. The evidence is returned without the prior."""
+    for seed in range(6):
+        model, finder, band = made_band(1, seed)
+        rng = np.random.default_rng(seed)
+        first = finder.dictionary[rng.integers(len(finder.dictionary))] + rng.normal(size=(1, 2))
+        reached = [model.evidence(band, first)[0] - finder._bending(first)]
+        for n_steps in range(1, 7):
+            monkeypatch.setattr(paths_module, "MOST_STEPS", n_steps)
+            path, evidence = finder.refine(band, first)
+            assert evidence == pytest.approx(model.evidence(band, path)[0])
+            reached.append(evidence - finder._bending(path))
+        assert (np.diff(reached) > -1e-9).all() and reached[-1] > reached[0]
+
+
+def test_the_explained_share_is_what_the_likeliest_image_leaves_less():
+    """Over all frequencies of the band, positive and negative ones."""
+    model, _, band = made_band(1)
+    rng = np.random.default_rng(0)
+    path = np.cumsum(rng.normal(0, 0.3, (N_FRAMES, 2)), axis=0)
+    frames = np.cumsum(np.random.default_rng(0).normal(0, 0.7, (N_FRAMES, 9, 12)), axis=0)
+    spectra = np.moveaxis(np.fft.fft2(frames, model.shape, norm="ortho"), 0, -1)
+    left = 0.0
+    power = 0.0
+    for i, qy in enumerate(2 * np.pi * np.fft.fftfreq(model.shape[0])):
+        for j, qx in enumerate(2 * np.pi * np.fft.fftfreq(model.shape[1])):
+            if max(abs(qx), abs(qy)) <= np.pi / 2:
+                signal = model.whitening @ spectra[i, j]
+                motion = model.whitening @ (np.exp(-1j * path @ (qx, qy)) - 1)
+                prior = 16 * (4 - 2 * np.cos(qx) - 2 * np.cos(qy) + 1 / 16)
+                image = (motion.conj() @ signal) / ((np.abs(motion) ** 2).sum() + prior)
+                left += (np.abs(signal - motion * image) ** 2).sum()
+                power += (np.abs(signal) ** 2).sum()
+    assert model.explained(band[0], path) == pytest.approx(1 - left / power)
+
+
+def test_curvature_is_that_of_the_squared_errors_for_fixed_images():
+    """In the Gauss-Newton approximation: J^T J of the whitened errors, by hand."""
+    model, _, band = made_band(2)
+    path = np.cumsum(np.random.default_rng(3).normal(0, 0.3, (N_FRAMES, 2)), axis=0)
+    _, _, curvature = model.evidence(band, path)
+    qx, qy = model.band_frequencies
+    q = np.array([(x, y) for y in qy for x in qx])
+    weights = np.tile(model.band_weights, len(qy))
+    phases = np.exp(-1j * q @ path.T)
+    white = (phases - 1) @ model.whitening.T
+    expected = np.zeros((2 * N_FRAMES, 2 * N_FRAMES))
+    for spectrum in band:
+        image = (white.conj() * spectrum).sum(axis=1)
+        image /= (np.abs(white) ** 2).sum(axis=1) + model.band_prior
+        # errors by the points and axes of the path: (F, K, K, 2)
+        change = -1j * image[:, None, None] * phases[:, :, None] * q[:, None]
+        slopes = (model.whitening[:, :, None] * change[:, None]).reshape(len(q), N_FRAMES, -1)
+        expected += np.einsum("f,fka,fkb->ab", weights, slopes.conj(), slopes).real
+    np.testing.assert_allclose(curvature, expected, atol=1e-9 * np.abs(expected).max())
 
 
 STEPS = np.stack([np.arange(1.0, N_FRAMES + 1), np.zeros(N_FRAMES)], 1)
@@ -287,3 +437,4 @@ def test_any_events_are_accepted(seed, n, window_us):
         y[:] = y[0]
     ((path, _),) = Reconstruction((7, 5), window_us)([(t, x, y, p)], PIXELS)
     assert path.n_events == n and np.isfinite(path.positions).all()
+    assert path.events_a_cell == n / 35

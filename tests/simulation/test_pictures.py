@@ -209,6 +209,19 @@ def test_a_large_picture_with_a_palette_is_averaged(tmp_path):
     assert np.mean((light > 0.02) & (light < 0.98)) > 0.8
 
 
+def test_a_picture_of_floats_has_no_light_below_0(tmp_path):
+    """Without any light there is nothing on it."""
+    values = np.zeros((20, 24), np.float32)
+    values[4:16, 8:12] = 7.0
+    expected = read_picture(saved(tmp_path / "a.tiff", values))
+    values[1, 1] = -300.0
+    found = read_picture(saved(tmp_path / "a.tiff", values))
+    np.testing.assert_array_equal(found.light, expected.light)
+    for dark in (0.0, -2.0):
+        with pytest.raises(ValueError, match="nothing is on this picture"):
+            read_picture(saved(tmp_path / "a.tiff", np.full((4, 4), dark, np.float32)))
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_picture_of_floats_is_finite(tmp_path, wrong):
     values = bar().astype(np.float32)
@@ -282,6 +295,104 @@ def test_at_half_time_the_object_is_anywhere_on_the_sensor(drawn):
         assert first - 0.05 <= places.min() < first + 0.1 * side
         assert last - 0.1 * side < places.max() <= last + 0.05
         assert places.mean() == pytest.approx((side - 1) / 2, abs=0.1 * side)
+
+
+def test_an_object_that_is_wider_than_high_may_be_nearer_to_the_upper_and_lower_border(drawn):
+    """It is 20 x 10 pixels."""
+    wide = Picture(np.full((12, 24), 0.9, np.float32), np.ones((12, 24), np.float32), 0.1)
+    found = drawn(wide, SceneSettings((120, 40), 50_000, size=(0.5, 0.5)))
+    y = np.array([one.centre[1] for one in found])
+    assert 4.5 - 0.05 <= y.min() < 9 and 30 < y.max() <= 34.5 + 0.05
+
+
+@pytest.mark.parametrize("follow", [False, True])
+def test_other_copies_of_the_object_stay_off_the_sensor(drawn, follow):
+    """The image repeats itself only beyond the sensor, the object and its motion, even when the
+    object has turned and grown. A crop that follows the object needs no room for the motion."""
+    scene = SceneSettings((60, 34), 50_000, size=(0.5, 0.5), follow=follow)
+    for one in drawn(DISC, scene, n=20):
+        centre = one.centre - one.scene.centre
+        reach = np.ceil(np.abs(one.displacement - centre).max(axis=0) - 1e-6)
+        gap = 0.5 * 17 if follow else np.maximum(0.5 * 17, 2 * reach)
+        period = (np.array([60, 34]) + 17 + gap) * np.exp(0.15) / np.cos(np.radians(15))
+        repeats = np.array(one.scene.image.shape[::-1]) / FINENESS
+        assert (repeats >= period - 1e-9).all()
+        if not follow:
+            assert (repeats < period + 8).all()
+
+
+def test_frames_of_a_crop_join_where_its_path_is_divided(drawn):
+    """Each part begins with the last frame of the part before it."""
+    times = [one.times_us for one in drawn(DISC, replace(SETTINGS, follow=True), n=20)]
+    assert len(times) > 40
+    end_us = 105_000
+    for part in times:
+        assert part[0] in (0, end_us) and (end_us == 105_000 or part[0] == end_us)
+        end_us = part[-1]
+    assert end_us == 105_000
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_a_sensor_is_cut_out_for_the_motion_and_is_no_larger_than_the_whole(
+    drawn, monkeypatch, size
+):
+    """Lengths, in the object's longer side, are log-uniform from .1 to .8. There is no texture."""
+    lengths = []
+
+    def noting(length, *given, **settings):
+        lengths.append(length / (60 * size))
+        return random_motion(length, *given, **settings)
+
+    monkeypatch.setattr(picture_scene, "random_motion", noting)
+    scene = SceneSettings((72, 60), 50_000, size=(size, size), light="positive", cut_out=True)
+    found = drawn(DISC, scene, n=40)
+    sensors = np.array([one.scene.sensor for one in found])
+    assert (sensors <= (72, 60)).all()
+    assert (sensors >= np.minimum(1.4 * 60 * size, (72, 60))).all()
+    assert 0.1 <= min(lengths) < 0.14 and 0.6 < max(lengths) <= 0.8
+    assert np.median(lengths) == pytest.approx(np.sqrt(0.08), rel=0.35)
+    assert max(one.scene.image[:4].std() for one in found) < 1e-3
+
+
+def test_sizes_and_blurs_have_their_ranges(drawn, monkeypatch):
+    """Both are uniform: sizes as shares of the sensor's shorter side, blurs in pixels."""
+    sizes = []
+    blurs = []
+
+    def posed(picture, side, rng):
+        sizes.append(side / FINENESS / 34)
+        return _posed(picture, side, rng)
+
+    def blurred(image, sigma):
+        blurs.append(sigma / FINENESS)
+        return image
+
+    monkeypatch.setattr(picture_scene, "_posed", posed)
+    monkeypatch.setattr(picture_scene, "_blurred", blurred)
+    drawn(DISC)
+    for values, low, high in ((sizes, 0.4, 0.8), (blurs, 0.3, 0.9)):
+        span = high - low
+        assert low <= min(values) < low + 0.1 * span and high - 0.1 * span < max(values) <= high
+        assert np.mean(values) == pytest.approx((low + high) / 2, abs=0.1 * span)
+
+
+def test_a_random_ground_is_chosen_for_the_mean_light_of_the_object_alone(drawn, monkeypatch):
+    seen = []
+
+    def noting(luminance, rng):
+        seen.append(luminance)
+        return 0.0
+
+    monkeypatch.setattr(picture_scene, "_random_ground", noting)
+    drawn(replace(DISC, ground=None), n=5)
+    drawn(DISC, n=5)
+    assert seen == pytest.approx([0.9] * 5, abs=0.02)
+
+
+def test_a_thin_object_has_two_places_at_least():
+    line = Picture(np.ones((2, 200), np.float32), np.ones((2, 200), np.float32), 0.1)
+    light, cover = _posed(line, 40.0, np.random.default_rng(0))
+    assert light.shape == cover.shape == (2, 40)
 
 
 @pytest.mark.parametrize(("follow", "longest"), [(False, 0.5), (True, 4.0)])
@@ -375,6 +486,10 @@ def test_a_photograph_fades_into_its_ground(drawn):
     assert differ.min() > -1e-6
     assert differ.max() > 0.5
     assert np.abs(differ[20:-20, 20:-20]).max() < 1e-6
+    # what was cut out of a picture has a border of its own
+    for one in (DISC, replace(DISC, ground=None)):
+        cut_out = _posed(one, 96, np.random.default_rng(0))[1]
+        assert cut_out.sum() == pytest.approx(_posed(DISC, 96, np.random.default_rng(0))[1].sum())
     rim = _rim(np.ones((40, 10)))
     np.testing.assert_allclose(rim[:6, 5], [0.125, 0.375, 0.625, 0.875, 1, 1])
     np.testing.assert_allclose(rim, rim[::-1, ::-1])
@@ -412,7 +527,10 @@ def test_some_motions_turn_round_and_come_back():
     def comes_back(seed, back):
         rng = np.random.default_rng(seed)
         motion, turn = random_motion(10.0, shares, rng, most_turn=1.0, back=back)
-        gone = np.abs(turn[:, 0] - turn[0, 0])
+        way = turn[:, 0] - turn[0, 0]
+        gone = np.abs(way)
+        # what comes back stays where it began
+        assert (way * way[gone.argmax()]).min() > -1e-9
         assert np.hypot(*motion.T).max() > 1
         return gone[-1] < 0.999 * gone.max()
 
@@ -454,7 +572,9 @@ def test_unknown_cameras_have_their_ranges():
     ratio = column("threshold_on") / column("threshold_off")
     assert np.median(ratio) == pytest.approx(1, rel=0.1)
     assert np.mean(np.abs(np.log(ratio)) < np.log(1.4)) == pytest.approx(2 / 3, abs=0.07)
-    assert np.ptp(column("noise_on_share")) > 0.8
+    for name, low, high in (("mismatch", 0.03, 0.25), ("noise_on_share", 0.1, 1.0)):
+        assert low <= column(name).min() < low + 0.02 and high - 0.02 < column(name).max() <= high
+    assert set(column("hot_hz")) == {50}
     assert 0 < column("leak_hz").min() < column("leak_hz").max() <= 0.3
 
 
@@ -603,6 +723,21 @@ def test_what_happens_at_the_end_of_a_motion_is_not_in_it():
         events = image.events(np.array([0, end_us], float), moved, None, pixels, rng)
         # light that changes evenly gives events in every microsecond
         assert np.unique(events["t"]).tolist() == list(range(int(np.ceil(end_us))))
+
+
+def test_a_sensor_of_very_many_columns_is_simulated_row_by_row(monkeypatch):
+    """Frames may begin at any row."""
+    rng = np.random.default_rng(0)
+    image = PeriodicImage(rng.normal(size=(16, 16)), 1, 0.0, np.full(2, 8.0), (16, 12))
+    moved = np.array([[0.0, 0.0], [3.0, 1.0]])
+    whole = image.frames(moved)
+    np.testing.assert_array_equal(image.frames(moved, first=5), whole[:, 5:])
+    np.testing.assert_array_equal(image.frames(moved, None, 5, 2), whole[:, 5:7])
+    monkeypatch.setattr("async_tnt.simulation.periodic_image.MOST_VALUES", 3)
+    pixels = PixelModel(0.1, 0.1, refractory_us=0.0, noise_hz=0.0)
+    events = image.events(np.array([0.0, 1_000.0]), moved, None, pixels, rng)
+    assert np.unique(events["y"]).tolist() == list(range(12))
+    assert (np.diff(events["t"]) >= 0).all()
 
 
 def test_a_known_camera_keeps_to_what_is_known():

@@ -221,6 +221,17 @@ def test_thresholds_of_on_and_off_differ_from_pixel_to_pixel_independently():
     assert abs(np.corrcoef(on, off)[0, 1]) < 0.15
 
 
+def test_a_level_begins_anywhere_from_one_threshold_below_to_the_other_one_above():
+    """Thresholds are .4 and .1, so levels are in a range of .5. A rise or fall by .1 reaches the
+    threshold of a fifth of the pixels."""
+    pixels = PixelModel(0.4, 0.1, mismatch=0.0, refractory_us=0.0, noise_hz=0.0)
+    for change, p, share in ((0.1, 1, 0.2), (-0.05, 0, 0.1), (-0.1, 0, 0.2), (0.4, 1, 0.8)):
+        light = np.array([0.0, change])[:, None, None] + np.zeros((60, 50))
+        events = simulate(light, np.array([0, 1_000]), np.random.default_rng(0), pixels)
+        assert set(events["p"]) == {p}
+        assert (pixels_of(events, (60, 50)) > 0).mean() == pytest.approx(share, abs=0.03)
+
+
 def test_events_of_one_moment_come_row_by_row():
     """All events of 4 x 5 pixels within 2 us: sorted by time, then row, then column."""
     pixels = PixelModel(refractory_us=0.0, noise_hz=0.0)
@@ -249,6 +260,9 @@ def test_hot_pixels_differ_and_after_pulses_come_at_any_time_of_a_millisecond():
     counts = pixels_of(simulate(still, times, np.random.default_rng(0), hot), (20, 30))
     counts = counts[counts > 0]
     assert counts.std() > 0.7 * counts.mean()  # of an exponential distribution they are equal
+    assert (pixels_of(simulate(still, times, np.random.default_rng(0), hot), (20, 30)) > 0)[
+        :, 20:
+    ].any()
 
     leaking = PixelModel(**quiet, leak_hz=3.0, after_share=0.2)
     events = simulate(still, times, np.random.default_rng(0), leaking)

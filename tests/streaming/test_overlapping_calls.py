@@ -13,7 +13,15 @@ from deciding import CONFIG, at, key, total_and_size
 from made import random_events, random_model, random_regressor_model
 from waiting import PATIENCE_S, meanwhile
 
-from async_tnt import CompiledClassifier, CompiledRegressor, PixelFilter, Processor, TNTVolume
+from async_tnt import (
+    CompiledClassifier,
+    CompiledNetwork,
+    CompiledRegressor,
+    Model,
+    PixelFilter,
+    Processor,
+    TNTVolume,
+)
 from async_tnt.networks import OnnxClassifier, to_onnx
 
 REFUSED = (
@@ -122,10 +130,22 @@ def test_a_decision_that_an_event_makes_due_is_in_the_middle_of_its_call(begin, 
     assert processor.fire().events == 1
 
 
+PLAIN = CONFIG.replace(transform="none", landmark="center")
+
+
+def model_of_a_map(classes=None):
+    """It has raw outputs if there are no classes, otherwise it finds objects of one class."""
+    layers = [{"op": "pick", "name": "map", "inputs": ["volume"], "channels": [0, 1]}]
+    outputs = {} if classes else {"map": "map"}
+    return Model(PLAIN, {}, classes or (), network={"classifier": layers}, outputs=outputs)
+
+
 @pytest.mark.parametrize(
     "network",
     [
         CompiledClassifier(MODEL),
+        CompiledClassifier(model_of_a_map(["a"])),
+        CompiledNetwork(model_of_a_map()),
         CompiledRegressor(random_regressor_model()),
         OnnxClassifier(to_onnx(MODEL)),
     ],
@@ -134,11 +154,10 @@ def test_a_decision_that_an_event_makes_due_is_in_the_middle_of_its_call(begin, 
 def test_a_network_shared_by_two_threads_refuses_the_second_call(network):
     volume = np.ones(network.shape, np.float32)
     others = [lambda: network(volume)]
+    if isinstance(network, (CompiledClassifier, CompiledNetwork)):
+        others.append(lambda: network.refresh(TNTVolume(PLAIN)))
     if isinstance(network, CompiledClassifier):
-        others += [
-            lambda: network.refresh(TNTVolume(CONFIG)),
-            lambda: Processor(CONFIG, classifier=network, every_events=1).push(at([5, 6])),
-        ]
+        others.append(lambda: Processor(PLAIN, classifier=network, every_events=1).push(at([5, 6])))
     expected = network(volume)
     assert np.array_equal(
         assert_refused_during(network, volume, others, type(network).__name__), expected

@@ -71,6 +71,13 @@ class Rrd:
             if t is not None and component in row
         ]
 
+    def static(self, entity: str, component: str) -> Any:
+        """The value of a component that was logged once, for all times."""
+        (value,) = [
+            row[component] for t, row in self.rows[entity] if t is None and component in row
+        ]
+        return value
+
     def images(self, entity: str, archetype: str = "Image") -> list[tuple[int, np.ndarray]]:
         """(microseconds, uint8 of shape (height, width) or (height, width, 3))."""
         found = []

@@ -11,7 +11,7 @@ from made import events_of, nasty_streams, opened, random_events, random_model
 
 from async_tnt import TNTConfig
 from async_tnt.kernels.volume.state import BLOCK
-from async_tnt.views.figure_subject import Subject
+from async_tnt.views.figure_subject import Subject, _on_grid
 
 CONFIGS = {
     "center": TNTConfig(landmark="center", t_max=3.0),
@@ -82,6 +82,12 @@ def test_coordinates_equal_the_reference_on_nasty_streams(data, config):
     equal_reference(
         data.draw(nasty_streams(config.sensor, config.window_us, START_US).filter(len)), config
     )
+
+
+def test_rounding_drops_no_event_on_the_border():
+    within = [-1e-9, 0.0, 33.0, 33.0 + 9e-10]
+    beyond = [-2e-9, 33.0 + 2e-9, np.inf, -np.inf, np.nan]
+    assert _on_grid(np.array(within), 33).all() and not _on_grid(np.array(beyond), 33).any()
 
 
 def test_one_event_by_hand():

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
 
-from made import events_of, opened, random_model
+from made import events_of, opened, random_events, random_model
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -76,19 +76,48 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     paths = [each.lines[0].get_xydata() for each in axes[1:4]]
     net = [path[-1] - path[0] for path in paths]
     np.testing.assert_allclose(net, [(2, 0), (2, 0), (0, 2)])
+    for each, path in zip(axes[1:4], paths, strict=True):
+        # a path lies around the picture's middle, with an arrow at its end
+        np.testing.assert_allclose((path.min(axis=0) + path.max(axis=0)) / 2, (2, 1))
+        (arrow,) = each.texts
+        np.testing.assert_allclose([arrow.xyann, arrow.xy], path[-2:])
+    counts = [each.images[0].get_clim() for each in (axes[0], *axes[2:4])]
+    assert counts == [(-4, 4)] * 3
+    for each in axes:
+        assert shape_of(each) == pytest.approx(3 / 5)
+    titles = [text.get_text() for text in figure.texts][1:5]
+    assert titles == ["as recorded", "image, path found", "the same path", "other path 1"]
+
+
+def test_a_path_that_stays_where_it_is_has_no_arrow():
+    axes = new_figure(2.0).subplots()
+    figure_resynthesis._draw_path(axes, np.full((5, 2), 3.0), (5, 3))
+    assert axes.lines[0].get_xydata().tolist() == [[2, 1]] * 5
+    assert list(axes.texts) == []
+
+
+def shape_of(axes):
+    """Height of axes by their width, on the page."""
+    width, height = axes.get_position(original=True).size * axes.figure.get_size_inches()
+    return height / width
 
 
 def test_pictures_are_shown_as_they_look_beside_their_recordings():
     """Light as the eye sees it, about its root; then ON minus OFF of each recording."""
-    light = np.array([[0.0, 0.25, 1.0], [0.81, 0.04, 0.49]])
+    light = np.array([[0.01, 0.25, 0.64], [0.81, 0.04, 0.49]])
     events = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
     figure = figure_resynthesis.draw_recorded_pictures(
         [("cup", light, [events, events[:1]])], (5, 3)
     )
     shown, first, second = pictures(figure.axes)
-    np.testing.assert_allclose(shown, [[0, 0.5, 1], [0.9, 0.2, 0.7]])
+    np.testing.assert_allclose(shown, [[0.1, 0.5, 0.8], [0.9, 0.2, 0.7]])
     assert (first[2, 1], first[0, 4], np.abs(first).sum()) == (2, -1, 3)
     assert (second[2, 1], np.abs(second).sum()) == (1, 1)
+    # the picture keeps its shape, within the place of a recording
+    assert [shape_of(axes) for axes in figure.axes] == pytest.approx([2 / 3, 3 / 5, 3 / 5])
+    sizes = [axes.get_position().size for axes in figure.axes]
+    assert (sizes[0] <= sizes[1] + 1e-9).all()
+    assert figure.axes[0].images[0].get_clim() == (0, 1)
     assert "cup" in [text.get_text() for text in figure.texts]
 
 
@@ -104,6 +133,40 @@ def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     on = events["p"] == 1
     assert_equal(dots(raw), (time_ms, events["x"], events["y"], on))
     assert_equal(dots(tnt), (time_ms[kept], u[kept], v[kept], on[kept]))
+    (legend,) = figure.legends
+    words = [text.get_text() for text in legend.get_texts()]
+    colours = [handle.get_color() for handle in legend.legend_handles]
+    assert list(zip(words, colours, strict=True)) == [("ON (brighter)", ON), ("OFF (darker)", OFF)]
+
+
+def test_space_time_has_the_sides_of_the_sensor_and_of_the_grid():
+    """Rows go downwards. Many dots are so small that they cover as much as 3,000 of full size."""
+    config = async_tnt.TNTConfig(sensor=(60, 20), grid=(30, 20), bins=1, window_us=100_000)
+    for n, size in ((300, 3.0), (12_000, 1.5)):
+        events = random_events(n, duration_us=100_000, sensor=(60, 20))
+        shown = Subject("a", events, config)
+        figure = new_figure(4.9)
+        figure_window.draw_both(figure, shown.window(1), height=4.2)
+        raw, tnt = figure.axes
+        assert raw.get_xlim() == tnt.get_xlim() == (0, 100)
+        assert (raw.get_ylim(), raw.get_zlim()) == ((0, 59), (19, 0))
+        assert (tnt.get_ylim(), tnt.get_zlim()) == ((0, 29), (19, 0))
+        assert [raw.get_ylabel(), raw.get_zlabel()] == ["x (px)", "y (px)"]
+        assert [tnt.get_ylabel(), tnt.get_zlabel()] == ["u (px)", "v (px)"]
+        assert raw.collections[0].get_sizes() == pytest.approx([size])
+    pictures_of_bins = [axes for axes in draw_overview(shown).axes if axes.get_title()]
+    assert [shape_of(axes) for axes in pictures_of_bins] == pytest.approx([20 / 30])
+
+
+def test_the_full_colour_begins_at_the_98th_of_100_cells_that_are_not_zero():
+    cells = np.zeros((2, 30, 20), np.float32)
+    cells[0].flat[:100] = -np.arange(1, 101)
+    layers = [figure_window.Layer(volume, "a", "signed") for volume in (cells, 0 * cells)]
+    figure = new_figure(4.0)
+    images = figure_window.draw_rows(figure, layers, [0, 1], ["0", "1"], (1, 1), (1, 1))
+    limits = [axes.images[0].get_clim() for axes in figure.axes]
+    assert limits[:2] == [pytest.approx((-98.02, 98.02))] * 2 and limits[2:] == [(-1, 1)] * 2
+    assert [image.axes for image in images] == [figure.axes[1], figure.axes[3]]
 
 
 @pytest.mark.parametrize("polarity", ["signed", "split"])
@@ -148,9 +211,10 @@ def probabilities_of(figure):
     return axes
 
 
-def test_each_windows_decision_stands_above_its_start():
-    """And the likeliest classes of all decisions are named, the likeliest first. Names are cut to
-    ten letters."""
+def test_each_windows_decision_stands_above_its_start(monkeypatch):
+    """In a recording of as many windows as may have a name. The likeliest classes of all decisions
+    are named, the likeliest first. Names are cut to ten letters."""
+    monkeypatch.setattr(figure_overview, "MOST_NAMED", 3)
     names = [f"{k} is the digit" for k in range(10)]
     model = replace(DIGITS, classes=names, statistics=None)  # these are of the classes
     shown = Subject("8.bin", sample(8), DIGITS.config, model, "digits")
@@ -167,6 +231,7 @@ def test_each_windows_decision_stands_above_its_start():
     ]
     upright = [line.get_xdata() for line in axes.lines if line.get_gid() is None]
     assert [list(x) for x in upright] == [[x, x] for x in starts_ms]
+    assert axes.get_xlim() == pytest.approx((0, starts_ms[-1] + 105)) and axes.get_ylim() == (0, 1)
     likeliest = np.argsort(-np.mean([d.probabilities for d in decisions], axis=0), kind="stable")
     named = [text.get_text() for text in axes.get_legend().get_texts()]
     assert named == [f"“{k} is the …”" for k in likeliest[:4]]
@@ -187,6 +252,15 @@ def test_a_long_recording_has_fewer_decisions_and_no_names(monkeypatch):
     (line,) = [line for line in axes.lines if line.get_gid() == "class 0"]
     assert (~np.isnan(line.get_ydata())).sum() == len(expected)
     assert list(axes.texts) == []
+
+
+def test_the_lines_of_a_window_that_slides_have_no_gaps():
+    config = async_tnt.TNTConfig(representation="count", last_us=50_000)
+    shown = Subject("5.bin", sample(5), DIGITS.config, random_model(config), "slides")
+    axes = probabilities_of(draw_overview(shown))
+    y = np.array([line.get_ydata() for line in axes.lines if line.get_gid() is not None])
+    assert y.shape[1] > 50 and np.isfinite(y).all()
+    np.testing.assert_allclose(y.sum(axis=0), 1, rtol=1e-5)
 
 
 def test_decisions_begin_with_the_windows_that_are_drawn():
@@ -217,7 +291,9 @@ def test_rows_have_names_colours_and_room(polarity, monkeypatch):
     assert len(with_images) == 3 * len(names)
     titles = [axes.get_title().splitlines()[0] for axes in with_images[:3]]
     assert titles == ["bin 0", "bin 4", "bin 8"]
+    assert not any(axes.get_title() for axes in with_images[3:])
     firsts = with_images[::3]
+    assert not any(axes.get_ylabel() for axes in with_images if axes not in firsts)
     assert [axes.get_ylabel() for axes in firsts] == names
     for axes, name in zip(firsts, names, strict=True):
         (picture,) = axes.images
@@ -270,8 +346,13 @@ def test_names_are_cut_to_fit():
 
 @pytest.mark.filterwarnings("error")
 def test_a_recording_of_one_event_is_drawn(tmp_path):
-    shown = Subject("odd $x", events_of([7], [3], [4], [1]), DIGITS.config, DIGITS, "digits")
-    save(draw_overview(shown), tmp_path / "one.png", 30)
+    """Whatever its name is."""
+    name = "odd $x\n\x1b[31m"
+    shown = Subject(name, events_of([7], [3], [4], [1]), DIGITS.config, DIGITS, "digits")
+    figure = draw_overview(shown)
+    assert all(text.get_text().isprintable() for text in figure.texts)
+    save(figure, tmp_path / "one.PNG", 30)
+    assert (tmp_path / "one.PNG").read_bytes().startswith(b"\x89PNG")
 
 
 def test_windows_are_those_of_the_stream():

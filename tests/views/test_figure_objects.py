@@ -69,12 +69,17 @@ def panels(figure):
     return found
 
 
+@pytest.mark.parametrize("arrives", ["in order", "backwards"])
 @pytest.mark.parametrize("number", [1, 2])
-def test_panels_show_what_was_there_until_then(number):
-    """After 3, 6 and 9 ms."""
+def test_panels_show_what_was_there_until_then(number, arrives):
+    """After 3, 6 and 9 ms, in whatever order the events of a window arrive."""
     events = two_windows(50)
-    subject = Subject("a.npz", events, CONFIG, dot_finder(), "finder")
+    if arrives == "backwards":
+        events = np.concatenate([events[:6][::-1], events[6:][::-1]])
+    subject = Subject("a.npz", events, CONFIG, dot_finder(), "finder", start_us=50)
     figure = draw_window_objects(subject.window(number), subject.model)
+    for axes in figure.axes:
+        assert axes.get_xlim() == (-0.5, 39.5) and axes.get_ylim() == (19.5, -0.5)
     assert [text.get_text() for text in figure.texts] == [
         f"a.npz, window {number}: objects that finder finds"
     ]

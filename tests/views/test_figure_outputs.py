@@ -1,6 +1,7 @@
 """The page of a model of raw outputs: its outputs at the ends of windows, with their legends."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,6 +94,9 @@ def test_outputs_are_those_at_the_ends_of_windows():
     bars = bars_of(figure)
     assert bars[:5] == [one["total"].tolist() for one in shown]
     assert bars[5:] == [one["many"].tolist() for one in shown]
+    # the numbers of an axis stand left of a row only
+    labelled = [axes.yaxis.get_tick_params()["labelleft"] for axes in figure.axes if axes.patches]
+    assert labelled == [True, *[False] * 4] * 2
 
 
 def test_rows_have_names_and_legends_by_hand():
@@ -159,6 +163,10 @@ def test_the_window_that_the_page_shows_is_among_those_of_the_outputs():
     # the page's windows may have another length: its fourth begins in the model's second
     other = subject_of(EVENTS, config=DRAWN.replace(window_us=20_000)).window(4)
     assert shown_windows(other, MODEL).tolist() == [2, 3, 5, 7, 10]
+    # and may begin in a window of the model without events, which has no output
+    events = events_of([0, 160_000], [3, 3], [2, 2], [1, 1])
+    longer = subject_of(events, config=DRAWN.replace(window_us=100_000)).window(2)
+    assert shown_windows(longer, MODEL).tolist() == [1, 4]
 
 
 @given(st.data())
@@ -192,15 +200,60 @@ def test_outputs_that_are_no_numbers_are_drawn():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("n_more", [0, 30])
+@pytest.mark.parametrize("n_more", [0, 8, 9, 30])
 def test_numbers_that_are_none_are_cut_or_left_out(n_more):
+    """Up to twelve numbers have bars of their own."""
     figure = new_figure(2.0)
     axes = figure.subplots()
     numbers = np.array([np.inf, -1, np.nan, -np.inf, *[0] * n_more])
     figure_outputs._draw_bars(axes, numbers, (-1.0, 2.0), is_first=True)
     np.testing.assert_array_equal(heights_of(axes), [2, -1, np.nan, -1, *[0] * n_more])
+    assert len(axes.patches) == (len(numbers) if len(numbers) <= 12 else 1)
+    assert len(axes.get_xticks()) == (len(numbers) if len(numbers) <= 12 else 0)
+    assert axes.get_ylim() == pytest.approx((-1.15, 2.15))
     assert figure_outputs._span([np.array([np.inf, -1]), np.array([2, np.nan])]) == (-1, 2)
     figure.draw_without_rendering()
+
+
+@pytest.mark.filterwarnings("error")
+def test_zero_is_among_the_numbers_of_an_axis():
+    for sign, expected in ((1, (0, 5)), (-1, (-5, 0))):
+        assert figure_outputs._span([sign * np.array([3.0, 5.0])]) == expected
+    axes = new_figure(2.0).subplots()
+    figure_outputs._draw_bars(axes, np.zeros(3), (0.0, 0.0), is_first=True)
+    assert axes.get_ylim() == (-1, 1)
+
+
+def test_a_row_tells_how_nan_is_shown():
+    arrays = {"numbers": np.array([1, np.nan]), "grey": np.array([[[1, np.nan]]])}
+    ends = []
+    for kind, array in arrays.items():
+        figure = new_figure(4.0)
+        row = figure_outputs._Row("a", kind, 1.0, 1.0)
+        figure_outputs._draw_row(figure, row, [array], 1.2, 0.5)
+        ends.append(texts_of(figure)[0].split("; ")[1])
+    assert ends == ["nan is left out", "nan is dark red"]
+
+
+def test_pictures_have_the_shape_of_the_output_within_bounds():
+    """At most four times as wide as high, or as high as wide."""
+    shapes = {"wide": (1, 2, 64), "high": (1, 64, 2), "usual": (1, 30, 40)}
+    rows = figure_outputs._rows_of(SimpleNamespace(output_shapes=shapes), 5)
+    assert [row.height / row.width for row in rows] == pytest.approx([1 / 4, 4, 3 / 4])
+    assert max(row.height for row in rows) <= figure_outputs.TALLEST
+
+
+def test_the_titles_of_narrow_pictures_have_room():
+    config = CONFIG.replace(sensor=(2, 40), grid=(2, 40))
+    model = Model.from_torch(Heads(1, 1), config)
+    events = random_events(200, duration_us=480_000, sensor=(2, 40))
+    figure = drawn(events, model=model, config=config.replace(transform="tnt", t_max=8.0))
+    lefts = [
+        figure.get_figwidth() * text.get_position()[0]
+        for text in figure.texts
+        if text.get_text().startswith("window ")
+    ]
+    assert len(lefts) == 5 and np.diff(lefts).min() > figure_outputs.NARROWEST
 
 
 class Heads(nn.Module):

@@ -19,7 +19,15 @@ from async_tnt.views.output_pictures import (  # noqa: E402
     limits_of,
     picture_of,
 )
-from async_tnt.views.rerun_outputs import ABOUT, WHEEL, channels_words, reduced  # noqa: E402
+from async_tnt.views.rerun_outputs import (  # noqa: E402
+    ABOUT,
+    WHEEL,
+    OutputLog,
+    _has_curves,
+    _names_and_colours,
+    channels_words,
+    reduced,
+)
 from async_tnt.views.rerun_view import RerunView  # noqa: E402
 
 MODEL = raw_model()
@@ -128,6 +136,9 @@ def test_each_output_has_a_panel_and_there_is_nothing_of_classes(tmp_path):
         MANY: "BarChart",
     }
     assert set(rrd.rows) == {log.EVENTS, log.RAW, ABOUT, WHEEL, FLOW, IMAGE, PARTS, TOTAL, MANY}
+    assert rrd.static(TOTAL, "SeriesLines:names") == ["0", "1"]
+    kinds = rrd.series(ABOUT, "TextDocument:media_type")
+    assert {kind for _, (kind,) in kinds} == {"text/markdown"}
     annotations = rrd.rows[PARTS][0][1]["AnnotationContext:context"]
     names = [row["class_description"]["info"]["label"] for row in annotations[0]]
     colours = [row["class_description"]["info"]["color"] for row in annotations[0]]
@@ -190,6 +201,39 @@ def test_large_maps_have_every_second_place():
     np.testing.assert_array_equal(reduced(array, 35), array)
     np.testing.assert_array_equal(reduced(array, 34), array[:, ::2, ::2])
     np.testing.assert_array_equal(reduced(array, 8), array[:, ::3, ::3])
+
+
+def test_a_large_map_is_shown_smaller_in_the_range_of_all_of_it():
+    """Every second row is bright, and not one of these is shown."""
+    outputs = OutputLog(rrd_files.rerun, None, {})
+    array = np.zeros((1, 400, 400), np.float32)
+    array[:, 1::2] = 1.0
+    picture, words = outputs._shown(array)
+    shown = np.array(picture.buffer.as_arrow_array().to_pylist()[0], np.uint8)
+    assert words == "black 0, white 1"
+    assert len(shown) == 3 * 200 * 200 and not shown.any()
+
+
+def test_channels_beyond_16_bits_are_shown_as_the_last_one():
+    """The viewer is told names and colours of the first ones and of nan alone."""
+    n = (1 << 16) + 4
+    array = np.zeros((n, 1, 2), np.float32)
+    array[n - 2, 0, 0] = array[9, 0, 1] = 1.0
+    picture, words = OutputLog(rrd_files.rerun, None, {})._shown(array)
+    shown = bytes(picture.buffer.as_arrow_array().to_pylist()[0])
+    assert np.frombuffer(shown, np.uint16).tolist() == [65_535, 9]
+    assert words == f"50 % channel 9, 50 % channel {n - 2}"
+    named = _names_and_colours(n)
+    assert [k for k, _, _ in named] == [*range(256), 65_535]
+    assert [name for _, name, _ in named[-2:]] == ["channel 255", "nan"]
+
+
+@pytest.mark.parametrize(
+    ("shape", "curves"),
+    [((20,), True), ((21,), False), ((20, 1, 1), True), ((21, 1, 1), False), ((1, 1, 2), False)],
+)
+def test_up_to_twenty_numbers_are_curves(shape, curves):
+    assert _has_curves(shape) == curves
 
 
 def test_channels_are_told_from_the_most_frequent_on():

@@ -13,7 +13,14 @@ from made import events_of
 from async_tnt import Processor, TNTConfig
 from async_tnt.views import rerun_log as log
 from async_tnt.views.rerun_decisions import class_text
-from async_tnt.views.rerun_log import GAP_COLOUR, NOTHING_COLOUR, OFF_COLOUR, ON_COLOUR, bin_sheet
+from async_tnt.views.rerun_log import (
+    GAP_COLOUR,
+    NOTHING_COLOUR,
+    OFF_COLOUR,
+    ON_COLOUR,
+    bin_sheet,
+    plain,
+)
 from async_tnt.views.rerun_view import next_moment
 
 
@@ -97,6 +104,12 @@ def test_the_text_of_a_class_names_the_likeliest():
     likeliest_last = decision_of(np.arange(3.0), ["a", "b", "c"])
     lines = class_text(likeliest_last, ["a", "b", "c"]).splitlines()
     assert [line.split()[1] for line in lines[6:]] == ["c", "b", "a"]
+
+
+def test_a_name_is_neither_markup_nor_a_column():
+    assert plain("a|b\n c*\td") == r"a\|b c\* d"
+    for letter in r"\`*_{}[]<>()#+-.!|~&$":
+        assert plain(f"1{letter}2") == f"1\\{letter}2"
 
 
 def test_the_text_of_a_window_without_events():

@@ -27,6 +27,7 @@ def test_every_picture_has_the_spikes_of_each_layer(tmp_path, raw):
     rrd = Rrd(tmp_path / "a.rrd")
     shown = rrd.series(SPIKES, "Scalars:scalars")
     assert len(shown) > 5
+    assert rrd.static(SPIKES, "SeriesLines:names") == list(Processor(model).layer_spikes)
     for at_us, numbers in shown:
         processor = Processor(model)
         processor.push(events[events["t"] < at_us])

@@ -1,5 +1,7 @@
 """RerunView: what is in the file is what the processor had."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from made import events_of, random_events, random_model
@@ -13,6 +15,7 @@ rrd_files = pytest.importorskip(
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_decisions as decisions_log  # noqa: E402
 from async_tnt.views import rerun_log as log  # noqa: E402
+from async_tnt.views import rerun_view  # noqa: E402
 from async_tnt.views.rerun_view import LAST_US, RerunView, next_moment  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
@@ -120,6 +123,50 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path, sett
         assert np.array_equal(image, expected) and image.any()
 
 
+def test_the_colours_of_an_event_image_have_names(tmp_path):
+    rrd, _ = view_of(tmp_path, [EVENTS[:9]])
+    (context,) = rrd.static(log.EVENTS, "AnnotationContext:context")
+    infos = [row["class_description"]["info"] for row in context]
+    found = [(one["id"], one["label"], tuple(one["color"].to_bytes(4, "big")[:3])) for one in infos]
+    assert found == [
+        (log.NOTHING, "no event", log.NOTHING_COLOUR),
+        (log.OFF, "OFF (darker)", log.OFF_COLOUR),
+        (log.ON, "ON", log.ON_COLOUR),
+    ]
+
+
+@pytest.mark.parametrize(
+    "slides",
+    [
+        {"representation": "count", "last_events": 50},
+        {"representation": "count", "last_us": 30_000},
+        # its slices of time count from the stream's start
+        {"representation": "volume", "last_us": 30_000, "bins": 4, "transform": "none"},
+    ],
+    ids=str,
+)
+def test_a_window_that_slides_is_shown_with_the_events_that_it_holds(tmp_path, slides):
+    """Here of several events at the time of its oldest one, only some are still in it."""
+    config = TNTConfig(sensor=(40, 30), grid=(40, 30), **slides)
+    model = random_model(config)
+    events = EVENTS[:600].copy()
+    events["t"] = events["t"] // 2_000 * 2_000
+    rrd, _ = view_of(tmp_path, np.array_split(events, 7), model, picture_us=5_000)
+    raws = rrd.images(log.RAW)
+    assert len(raws) > 5
+    for at_us, raw in raws:
+        processor = Processor(model)
+        processor.push(events[events["t"] < at_us])
+        processor.fire()
+        np.testing.assert_array_equal(raw, log.bin_sheet(processor.volume()))
+
+
+def test_an_empty_packet_changes_nothing(tmp_path):
+    rrd, _ = view_of(tmp_path, [EVENTS[:0], EVENTS[:900], EVENTS[:0], EVENTS[900:], EVENTS[:0]])
+    whole, _ = view_of(tmp_path, [EVENTS])
+    assert rrd.times(log.EVENTS) == whole.times(log.EVENTS)
+
+
 def test_a_late_packet_does_not_turn_time_back(tmp_path):
     packets = [events_of([0, 30_000], [1, 2], [3, 3], [1, 1]), events_of([10_000], [3], [3], [1])]
     rrd, _ = view_of(tmp_path, packets, late="drop", picture_us=20_000)
@@ -142,6 +189,9 @@ def test_probabilities_and_decisions_are_the_processors(tmp_path):
         assert t == d.time_us and (t, d.probabilities.tolist()) in series
         times = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
         assert text == f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {times}"
+    assert rrd.static(decisions_log.PROBABILITIES, "SeriesLines:names") == list(model.classes)
+    kinds = rrd.series(decisions_log.CLASS, "TextDocument:media_type")
+    assert {kind for _, (kind,) in kinds} == {"text/markdown"}
 
 
 def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
@@ -398,3 +448,32 @@ def test_the_last_picture_of_a_live_stream_is_drawn(tmp_path):
     whole, _ = view_of(tmp_path, np.array_split(EVENTS, 40), picture_us=500)
     assert times[-1] == int(EVENTS["t"][-1]) + 1
     assert len(times) < len(whole.times(log.EVENTS)) > 300
+
+
+@pytest.mark.parametrize(("took_s", "pictures"), [(1.0, [0, 2, 4, 6, 8]), (0.0, [*range(10)])])
+def test_a_live_stream_is_drawn_in_at_most_half_of_the_time(
+    tmp_path, monkeypatch, took_s, pictures
+):
+    """By a clock that moves by half a second from event to event, and by what drawing takes. What
+    was logged is flushed once a second."""
+    clock = SimpleNamespace(now_s=100.0)
+    monkeypatch.setattr(rerun_view, "time", SimpleNamespace(perf_counter=lambda: clock.now_s))
+    with RerunView(MODEL, out=tmp_path / "a.rrd", picture_us=100, live=True) as view:
+        seen = []
+        flushed = []
+        write = view.log.write
+
+        def writing(at_us, *given):
+            seen.append(at_us)
+            clock.now_s += took_s
+            write(at_us, *given)
+
+        monkeypatch.setattr(view.log, "write", writing)
+        monkeypatch.setattr(view, "_flush", lambda: flushed.append(clock.now_s))
+        for k in range(11):
+            view.push(events_of([100 * k], [5], [5], [1]))
+            clock.now_s += 0.5
+        monkeypatch.undo()
+    # the picture that an event brings shows what came before it
+    assert seen == [100 * (k + 1) for k in pictures]
+    assert len(flushed) > 3 and np.diff(flushed).min() >= 1

@@ -114,7 +114,8 @@ def _compare_output(numbers: Sequence[_Numbers], tolerance: float, least: float)
         counted = np.maximum(largest, of_channels.max(0) / 100)
         bounds = np.maximum(tolerance * np.maximum(counted, least), SMALLEST * of_all)
         bounds = np.maximum(bounds, ROUNDINGS * rounding)[:, np.newaxis]
-        differences = np.abs(computed - expected)
+        with np.errstate(invalid="ignore"):  # the difference of two infinities is no number
+            differences = np.abs(computed - expected)
         are_same = (computed == expected) | (np.isnan(computed) & np.isnan(expected))
         if not ((differences <= bounds) | are_same).all():
             largest_difference = np.fmax.reduce(differences, axis=None)
@@ -152,9 +153,11 @@ def _numbers_of_both(
         is_other = numbers.shape != own.shape if is_raw else numbers.size != own.size
         if is_other:
             raise ValueError(f"it gives numbers of shape {numbers.shape}, its layers {own.shape}")
-        rounding = _largest_finite(own.reshape(-1) - without_rounding.reshape(-1))
+        with np.errstate(invalid="ignore"):  # as above
+            errors = own.reshape(-1) - without_rounding.reshape(-1)
         # the channels of a raw map are compared one by one, as a large one would hide others
         n_rows = len(own) if is_raw and own.ndim == 3 else 1
+        rounding = _largest_finite(errors)
         found.append(_Numbers(numbers.reshape(n_rows, -1), own.reshape(n_rows, -1), rounding))
     return found
 

@@ -62,7 +62,7 @@ PRODUCTS_OF_AN_ADDITION = 16
 NUMBERS_OF_A_TAP = 100
 """How many float32 numbers take as much memory as one tap of a window while a program is made.
 
-A tap takes so much because it lies in Python's lists then. The number was measured."""
+Taps lie in Python's lists at that time, which is why they take so much. The number was measured."""
 
 Network = Mapping[str, Sequence[Layer]]
 """CLASSIFIER or REGRESSOR -> layers."""

@@ -101,7 +101,7 @@ def _add_of_two(kind: int, step_list: StepList, inputs: list[Map]) -> Map:
 
 
 def _concat_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len({shape[1:] for shape in inputs}) > 1 or len({len(shape) for shape in inputs}) > 1:
+    if len({shape[1:] for shape in inputs}) > 1:
         raise ValueError(
             f"its inputs must differ in their channels only, got {', '.join(map(str, inputs))}"
         )

@@ -48,5 +48,6 @@ class Refusals:
             count = f" ({len(errors)} of these)" if len(errors) > 1 else ""
             texts.append(f"{errors[0]}{count}")
         if len(kinds) > MOST_KINDS:
-            texts.append(f"and {len(kinds) - MOST_KINDS} more kinds")
+            n_more = len(kinds) - MOST_KINDS
+            texts.append(f"and {n_more} more {'kind' if n_more == 1 else 'kinds'}")
         raise NotImplementedError("; ".join(texts))

@@ -80,7 +80,7 @@ def corner_taps(n: int, factor: int) -> np.ndarray:
 
 
 def _expand_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len(inputs[0]) != 3 or inputs[0][1:] != (1, 1):
+    if inputs[0][1:] != (1, 1):
         raise ValueError(f"its input must be a map of one place, got {inputs[0]}")
     return inputs[0][0], *layer["size"]
 

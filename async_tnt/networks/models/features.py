@@ -19,8 +19,9 @@ def layers_up_to(layers: Sequence[Layer], layer: str | None) -> list[Layer]:
     Parameters
     ----------
     layers : all layers of the network.
-    layer : name of the layer. None: the one that the first dense layer reads, or without dense
-        layers, the one that the last layer reads. In the place of a flattened map stands the map.
+    layer : name of the layer. None: the one that the first dense layer reads or, without dense
+        layers, the one that the last layer reads. If it flattens a map, the layer of the map is
+        taken instead.
 
     Raises
     ------

@@ -79,8 +79,8 @@ CENTROID = "heatmap_centroid"
 
 
 GRID_STEP = 8
-"""The sides of a grid that `for_sensor` chooses for a model that is `by_share` are multiples of it.
-So maps of half the size can be spread to the whole again."""
+"""For a model that is `by_share`, `for_sensor` chooses grids whose sides are multiples of this
+number. So maps of half the size can be spread to the whole again."""
 
 
 def in_grid_steps(cells: float) -> int:
@@ -269,8 +269,8 @@ class Model:
     ) -> Model:
         """A spiking model of a NIR graph. Each event goes through it at its own time.
 
-        If `to_nir` wrote the graph from a network of ReLUs, the result is that network again, with
-        its own configuration and classes, unless `reset` says that its neurons shall fire.
+        A network of ReLUs that `to_nir` wrote as a graph comes back as that network, with its own
+        configuration and classes. If `reset` is given, it is read as a spiking network instead.
 
         Parameters
         ----------
@@ -337,8 +337,9 @@ class Model:
 
         Parameters
         ----------
-        layer : name of a layer. By default that which the first dense layer reads; without dense
-            layers, that which the last layer reads. A flattened map is given as the map itself.
+        layer : name of a layer; by default the one that the first dense layer reads or, without
+            dense layers, the one that the last layer reads. Instead of a flattened map, the output
+            is the map itself.
 
         Raises
         ------
@@ -380,8 +381,8 @@ class Model:
         Parameters
         ----------
         recordings : each of the model's classes -> recordings of it: events in any accepted form,
-            or what `open_recording` returns. A few tens of each are enough; of many, some that are
-            spread evenly are read.
+            or what `open_recording` returns. A few tens of each are enough. If there are many, only
+            some are read, which are spread evenly over all.
         nothing : recordings that show none of the classes.
 
         Raises

@@ -26,9 +26,9 @@ PRODUCER = {"producer": f"async_tnt {__version__}"}
 def to_nir(model: Model, *, polarity: PolarityOrder | None = None) -> nir.NIRGraph:
     """The network of a Model as a NIR graph, which `nir.write` writes to a file.
 
-    A spiking model that came from a graph can be read again: `Model.from_nir`, with the same
-    `polarity`, `reset` and `dt`, gives the same layers and weights. NIR has no place for these
-    three, or for the model's window and classes. So they stand in the graph's metadata.
+    If a spiking model came from a graph, `Model.from_nir` of the new graph, with the same
+    `polarity`, `reset` and `dt`, gives the same layers and weights. These three, and the model's
+    window and classes, are not part of what a graph means; they stand in its metadata.
 
     A network of ReLUs is written with its weights as they are. NIR 1.0 has no ReLU. So neurons (IF)
     with a threshold of 1 stand in place of the ReLUs. For an activation a, such a neuron fires

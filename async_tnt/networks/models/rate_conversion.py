@@ -223,16 +223,13 @@ def _percentiles(
 
 
 def _before_flatten(by_name: Mapping[str, Layer], name: str) -> str:
-    """The layer that computes the activations of another one, perhaps before its ReLU.
+    """The layer that computes the activations of another one, perhaps before its ReLU; or VOLUME.
 
     A flattened map cannot be an output of a network, but the map can.
     """
     source: str = name
-    while by_name[source]["op"] in ("relu", "flatten"):
-        (before,) = by_name[source]["inputs"]
-        if before not in by_name:  # the volume
-            return name
-        source = before
+    while source != VOLUME and by_name[source]["op"] in ("relu", "flatten"):
+        (source,) = by_name[source]["inputs"]
     return source
 
 

@@ -22,8 +22,8 @@ from async_tnt.networks.teaching.closed_form import weights_of
 from async_tnt.networks.teaching.statistics import Statistics
 
 LEAST_PLACES = 16
-"""The fewest places that the map of features has, if the network has such a map: after the last
-poolings too little is left of what the trained classes do not need."""
+"""The fewest places of a map that is chosen for the features. Smaller maps lie behind the last
+poolings, where too little is left of what only new classes need."""
 
 MOST_FEATURES = 4096
 """The most features, as their covariance must fit into the memory."""
@@ -35,8 +35,8 @@ PREFIX = "taught"
 def features_layer(layers: Sequence[Layer], shapes: Mapping[str, Shape]) -> str | None:
     """The layer whose numbers are the features: the last map with at least `LEAST_PLACES` places.
 
-    Without a map of at most `MOST_FEATURES` numbers it is the last layer before the logits that has
-    no more. None: there is no such layer.
+    Only layers before the logits with at most `MOST_FEATURES` numbers are considered. If none of
+    them is a map of so many places, it is the last of them; if there are none, the result is None.
     """
     *before, _ = layers
     by_name = {layer["name"]: layer for layer in before}

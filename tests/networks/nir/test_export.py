@@ -102,6 +102,10 @@ def test_metadata_says_what_a_graph_leaves_open(tmp_path):
         assert metadata["polarity"][()] == b"off_first"
         assert metadata["window_us"][()] == 50_000
         assert metadata["producer"][()].startswith(b"async_tnt ")
+        assert "classes" not in metadata
+    metadata = to_nir(load_model("digits")).metadata
+    assert metadata.keys() >= {"producer", "config", "classes", "record"}
+    assert "format" not in metadata  # it is that of a .safetensors file
 
 
 NO_FORM = "its padding must be the same|layers differ in `(reset|dt)`|it adds a layer to itself"
@@ -289,6 +293,21 @@ def test_neurons_that_differ_in_their_reset():
     layers[0]["inputs"] = ["first"]
     model = replace(model, network={"spiking": [first, *layers]})
     with pytest.raises(NotImplementedError, match=r"differ in `reset` \(subtract, value\)"):
+        to_nir(model)
+
+
+def test_neurons_that_differ_in_their_time_step():
+    layers = []
+    for name, source, dt in (("one", "volume", 1e-3), ("two", "one", 1e-4)):
+        roles = {"tau": "h", "r": "h", "v_leak": "zeros", "v_threshold": "h"}
+        layer = {"op": "lif", "name": name, "inputs": [source], "reset": "value", "dt": dt}
+        layers.append({**layer, "weights": roles})
+    weights = {"h": ONES[:, 0, 0], "zeros": 0 * ONES[:, 0, 0], "r": ONES[:, :2, :2]}
+    model = model_of([])
+    last = {**model.network["spiking"][-1], "reset": "value"}
+    network = {"spiking": [*layers, {**model.network["spiking"][0], "inputs": ["two"]}, last]}
+    model = replace(model, network=network, weights=weights)
+    with pytest.raises(NotImplementedError, match=r"differ in `dt` \(0\.0001, 0\.001\)"):
         to_nir(model)
 
 

@@ -154,6 +154,15 @@ def test_a_bias_is_refused_where_it_is_not_zero():
         Model.from_nir(dense(IF, bias=np.array([0.0, 0.5])), reset="subtract")
 
 
+def test_a_model_of_a_graph_has_the_window_and_the_record_that_are_given():
+    model = Model.from_nir(dense(IF), reset="subtract", window_us=7_000, record={"a": 1})
+    assert (model.config.window_us, model.record) == (7_000, {"a": 1})
+    plain = Model.from_nir(dense(IF), reset="subtract")
+    assert (plain.config.window_us, plain.record) == (105_000, {})
+    with pytest.raises(ValueError, match=r"`window_us` must be in \[1, 3600000000\], got 0"):
+        Model.from_nir(dense(IF), reset="subtract", window_us=0)
+
+
 @pytest.mark.parametrize("polarity, first", [("off_first", 0), ("on_first", 1)])
 def test_the_order_of_polarities(polarity, first):
     """An event of channel 0 at (x 1, y 2) is number 9 of the input, one of channel 1 number 21."""

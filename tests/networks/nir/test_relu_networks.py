@@ -5,12 +5,14 @@ ASYNC_TNT_FUZZ_CASES makes it a long run.
 
 import os
 import re
+from dataclasses import replace
 
 import h5py
 import nir
 import numpy as np
 import pytest
 import torch
+from made import random_regressor_model, raw_model
 from networks.nir.damaged_graphs import VALUES, Fields, damaged_fields
 from networks.nir.graph_in_torch import outputs_of
 from torch import nn
@@ -27,15 +29,15 @@ CLASSES = ("a", "b", "c")
 
 
 class Residual(nn.Module):
-    """A block whose input is added to its output."""
+    """A block whose output is added to its input."""
 
     def __init__(self, channels, has_norm):
         super().__init__()
-        norm = nn.BatchNorm2d(channels) if has_norm else nn.Identity()
-        self.inside = nn.Sequential(nn.Conv2d(channels, channels, 3, padding=1), norm, nn.ReLU())
+        end = nn.BatchNorm2d(channels) if has_norm else nn.ReLU()
+        self.inside = nn.Sequential(nn.Conv2d(channels, channels, 3, padding=1), end)
 
     def forward(self, x):
-        return self.inside(x) + x
+        return x + self.inside(x)
 
 
 def random_module(seed):
@@ -75,6 +77,9 @@ def random_module(seed):
         if isinstance(norm, nn.BatchNorm2d):
             norm.running_mean.normal_()
             norm.running_var.uniform_(0.5, 2.0)
+            norm.weight.data.uniform_(0.5, 2.0)
+            norm.bias.data.normal_()
+            norm.eps = 0.25
     return module
 
 
@@ -122,10 +127,11 @@ def assert_same_network(model, other):
         np.testing.assert_array_equal(values, other.weights[name])
 
 
-def test_a_bundled_model_comes_back_from_its_file_with_the_same_bits(tmp_path):
+@pytest.mark.parametrize("name", ["digits.nir", "DIGITS.NIR"])
+def test_a_bundled_model_comes_back_from_its_file_with_the_same_bits(name, tmp_path):
     model = load_model("digits")
-    nir.write(tmp_path / "digits.nir", to_nir(model))
-    again = load_model(tmp_path / "digits.nir")
+    nir.write(tmp_path / name, to_nir(model))
+    again = load_model(tmp_path / name)
     assert_same_network(again, model)
     assert again.config == model.config
     assert again.classes == model.classes
@@ -179,6 +185,20 @@ def test_layers_without_a_form(layer, message):
 def test_the_order_of_polarities_is_for_spiking_models():
     with pytest.raises(ValueError, match="`polarity` is for spiking models, got 'on_first'"):
         to_nir(load_model("digits"), polarity="on_first")
+
+
+def test_what_no_graph_can_hold():
+    with pytest.raises(ValueError, match="`model` must have no landmark network: it has no NIR"):
+        to_nir(random_regressor_model())
+    with pytest.raises(ValueError, match="`model` must have classes or one output, it has 3"):
+        to_nir(raw_model())
+
+
+def test_a_model_of_objects_by_share_is_one_when_it_is_read_again():
+    model = Model.from_torch(nn.Conv2d(4, 4, 1), CONFIG, CLASSES)
+    for by_share in (False, True):
+        again = Model.from_nir(to_nir(replace(model, by_share=by_share)))
+        assert again.by_share == by_share
 
 
 def changed_metadata(**changes):

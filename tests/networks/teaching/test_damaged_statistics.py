@@ -49,6 +49,7 @@ def test_a_file_that_is_written_again_is_read(file):
         ({"classes": ["a", "b", "x", "d"]}, "statistics must be of the classes a, b, c, d, got a"),
         ({"margins": {}}, "statistics must be of the classes a, b, c, d, got a, b, c"),
         ({"margins": {"d": "8"}}, "statistics must have positive margins"),
+        ({"margins": {"d": 0.0}}, "statistics must have positive margins"),
         ({"margins": {"d": float("inf")}}, "statistics must have positive margins"),
         ({"margins": [8.0]}, "its statistics must name layers and classes"),
     ],

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from async_tnt import TNTConfig
+from async_tnt.networks.teaching import closed_form
 from async_tnt.networks.teaching.closed_form import (
     LEAST_RECORDINGS,
     MARGIN,
+    MARGINS,
     RIDGE,
     TAUGHT_SHARE,
     Row,
@@ -24,6 +26,7 @@ from async_tnt.networks.teaching.statistics import (
     principal_components,
     tensors_of_statistics,
 )
+from async_tnt.networks.teaching.taught_network import features_layer
 from async_tnt.networks.teaching.teach import spread_order
 from async_tnt.networks.teaching.window_readings import edges
 
@@ -135,6 +138,72 @@ def test_a_class_that_is_not_told_apart_gets_a_smaller_margin():
     assert margin(1.0) < margin(3.0) < margin(6.0)
 
 
+def losses_of(recordings, others):
+    """For each M of `MARGINS` the loss of "is it this class", and the share that is right.
+
+    Each recording is left out. A class of the others is taken as normally distributed.
+    """
+    rest = [Moments.of(one) for one in others]
+    whole = row_of(Moments.of(np.concatenate(recordings)), rest)
+    z = np.linspace(-9.0, 9.0, 4001)
+    density = np.exp(-(z**2) / 2)
+    losses = []
+    shares = []
+    for margin in MARGINS:
+        own = []
+        for k, left_out in enumerate(recordings):
+            kept = np.concatenate([*recordings[:k], *recordings[k + 1 :]])
+            own.append(logit_above_s(row_of(Moments.of(kept), rest), margin, left_out))
+        own = np.concatenate(own)
+        shares.append((own > 0).mean())
+        of_classes = [np.logaddexp(0, -own).mean()]
+        for one in others:
+            theirs = logit_above_s(whole, margin, one)
+            at = np.logaddexp(0, theirs.mean() + theirs.std() * z)
+            of_classes.append((at * density).sum() / density.sum())
+        losses.append(np.mean(of_classes))
+    return losses, shares
+
+
+def logit_above_s(row, margin, u):
+    """z - s for vectors u = (x, s)."""
+    return u[:, :-1] @ row.at(margin)[:-1] + row.at(margin)[-1] - u[:, -1]
+
+
+@pytest.mark.parametrize("seed", [1, 3, 6])
+def test_the_margin_is_that_of_the_smallest_loss(seed):
+    rng = np.random.default_rng(seed)
+
+    def readings(n, distance):
+        x = rng.normal(distance, 1.0, (n, 3)) + rng.normal(size=3)
+        return np.hstack([x, rng.normal(4.0, 1.5, (n, 1))])
+
+    distance = 0.4 * seed
+    recordings = [readings(3, distance) for _ in range(5 + seed)]
+    others = [readings(40, 0.0), readings(7, -1.0)]
+    losses, shares = losses_of(recordings, others)
+    choice = choose_margin(recordings, dict(enumerate(map(Moments.of, others))))
+    best = int(np.argmin(losses))
+    assert choice.margin == MARGINS[best]
+    assert choice.held_out == pytest.approx(shares[best])
+
+
+def test_many_recordings_are_left_out_in_at_most_twenty_parts(monkeypatch):
+    """For each part a row is made of the others, and one row of all."""
+    made = []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return row_of(*arguments)
+
+    monkeypatch.setattr(closed_form, "row_of", counted)
+    others = {"a": one_class(-1.0, 1.0)}
+    for n, n_rows in ((5, 6), (20, 21), (47, 21)):
+        made.clear()
+        choose_margin([np.array([[3.0 + k % 2, 1.0]]) for k in range(n)], others)
+        assert len(made) == n_rows
+
+
 def test_log_sum_exp_of_large_logits():
     assert log_sum_exp(np.array([[1000.0, 1000.0], [0.0, -1000.0]])).tolist() == pytest.approx(
         [1000 + np.log(2), 0.0]
@@ -168,11 +237,12 @@ def test_principal_components_of_few_readings_are_those_of_the_whole_covariance(
     assert (projection[np.abs(projection).argmax(0), np.arange(10)] > 0).all()
 
 
-@pytest.mark.parametrize("n_features", [5, 64, 96, 768, 2048, 4096])
-@pytest.mark.parametrize("n_classes", [2, 10, 101])
+@pytest.mark.parametrize("n_features", [5, 64, 250, 768, 2048, 4096])
+@pytest.mark.parametrize("n_classes", [2, 22, 101])
 def test_statistics_have_as_many_components_as_fit(n_features, n_classes):
     n = n_components_for(n_features, n_classes, 30_000)
     assert n <= min(n_features, MOST_COMPONENTS)
+    assert n == n_features or n % 16 == 0
 
     def n_bytes(n):
         moments = Moments(1, np.zeros(n + 1), np.zeros(triangle_size(n + 1), np.float32))
@@ -216,6 +286,8 @@ def test_where_windows_are_read():
     assert list(edges(np.array([40, 90]), config, start_us=0)) == [(1, False), (2, True)]
     # 24 us are in the first quarter, 25 us in the second
     assert list(edges(np.array([0, 24, 25]), config)) == [(2, False), (3, True)]
+    # a quarter of 10 us ends at 2.5 us, so 2 us are in it
+    assert list(edges(np.array([0, 2, 3]), TNTConfig(window_us=10))) == [(2, False), (3, True)]
 
 
 @pytest.mark.parametrize(
@@ -229,3 +301,33 @@ def test_where_windows_of_a_number_of_events_are_read(settings):
     config = TNTConfig(**settings)
     expected = [(2, False), (4, False), (8, True), (10, False), (11, True)]
     assert list(edges(np.arange(11), config)) == expected
+
+
+def test_a_part_of_a_window_of_a_number_of_events_is_rounded_up():
+    """A quarter of 10 events are 3."""
+    config = TNTConfig(window_events=10, window_us=None)
+    assert list(edges(np.arange(10), config)) == [(3, False), (5, False), (10, True)]
+
+
+def features_of(*layers):
+    """The layer of the features. A layer is its name, operation, input and output's shape."""
+    network = [{"op": op, "name": name, "inputs": [source]} for name, op, source, _ in layers]
+    shapes = {name: shape for name, _, _, shape in layers}
+    return features_layer(network, {"volume": (2, 64, 64), **shapes})
+
+
+def test_features_are_of_the_last_map_of_16_places_and_at_most_4096_numbers():
+    logits = ("z", "dense", "h", (3,))
+    flat = [("f", "flatten", "b", (120,)), ("h", "dense", "f", (9,)), logits]
+    large = ("a", "conv", "volume", (4, 32, 32))
+    assert features_of(large, ("b", "conv", "a", (8, 4, 4)), *flat) == "b"
+    assert features_of(large, ("b", "conv", "a", (8, 3, 5)), *flat) == "a"
+    # without such a map, of the last layer before the logits of as few numbers
+    larger = ("a", "conv", "volume", (4, 32, 33))
+    assert features_of(larger, ("b", "conv", "a", (8, 3, 5)), *flat) == "h"
+    # a flattened map is none, and what keeps its order, but a flattened place is one
+    kept = [("f", "flatten", "b", (120,)), ("r", "relu", "f", (120,)), ("z", "dense", "r", (3,))]
+    assert features_of(larger, ("b", "conv", "a", (8, 3, 5)), *kept) == "b"
+    place = [("m", "global_average_pool", "a", (4, 1, 1)), ("f", "flatten", "m", (4,))]
+    assert features_of(larger, *place, ("z", "dense", "f", (3,))) == "f"
+    assert features_of(larger, ("z", "flatten", "a", (4224,))) is None

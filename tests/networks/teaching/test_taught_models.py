@@ -1,6 +1,7 @@
 """Models with taught classes are models like any other, and keep what they knew."""
 
 import copy
+import json
 import pickle
 from dataclasses import replace
 
@@ -11,12 +12,17 @@ from deciding import key
 from made import random_model, raw_model
 from networks.random_spiking import random_spiking_model
 from networks.teaching.lessons import CLASSES, CONFIG, of_classes, recording
+from safetensors import safe_open
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.models.torch_modules import exact_outputs, torch_classifier
-from async_tnt.networks.teaching.statistics import log_sum_exp
+from async_tnt.networks.teaching import teach
+from async_tnt.networks.teaching.closed_form import MARGIN
+from async_tnt.networks.teaching.statistics import log_sum_exp, n_components_for
+from async_tnt.networks.teaching.teach import spread_order
+from async_tnt.networks.teaching.window_readings import edges
 
 
 def same(a: Model, b: Model) -> None:
@@ -116,7 +122,10 @@ def test_how_the_stream_is_cut_does_not_matter(taught, settings):
 
 def test_a_file_keeps_everything(tmp_path, model, taught):
     for one in (model, taught, taught.without_class("b")):
-        loaded = load_model(one.save(tmp_path / "m.safetensors"))
+        path = one.save(tmp_path / "m.safetensors")
+        with safe_open(path, "numpy") as file:
+            assert file.metadata()["format"] == "async_tnt 5"
+        loaded = load_model(path)
         same(loaded, one)
         # and what is taught to it is the same, too
         lesson = [recording(4, i) for i in range(5)]
@@ -183,17 +192,31 @@ def test_a_trained_class_is_forgotten(model, taught):
     assert decision.label == "b"
     alone = model.without_class("a").without_class("b")
     assert alone.classes == ("c",)
+    assert alone.record["forgotten"] == ["a", "b"]
     with pytest.raises(ValueError, match="`name` must not be the model's only class, got 'c'"):
         alone.without_class("c")
 
 
-def test_the_record_says_what_was_taught(taught):
+def test_the_record_says_what_was_taught(model, taught, monkeypatch):
     entry = taught.record["taught"]["d"]
     assert (entry["recordings"], entry["windows"]) == (6, 18)
     assert entry["margin"] == pytest.approx(taught.statistics.margins["d"], abs=1e-3)
     assert set(entry["taken"]) == set(CLASSES)
     assert all(0 <= share < 0.2 for share in entry["taken"].values())
     assert entry["left_out_right"] > 0.7
+    # of a class that is harder to tell apart: so many of the nine readings of seven recordings
+    hard = model.with_class("e", [recording(4, i) for i in range(20, 27)])
+    entry = hard.record["taught"]["e"]
+    share = entry["left_out_right"]
+    assert share == pytest.approx(round(63 * share) / 63, abs=1e-5)
+    assert 0 < share < 1
+    # what it takes is computed for the margin that was chosen
+    monkeypatch.setattr(teach, "taken", lambda row, margin, moments: margin / 1000)
+    lesson = model.with_class("e", [recording(4, i) for i in range(20, 27)])
+    (margin,) = lesson.statistics.margins.values()
+    assert margin != MARGIN
+    shares = set(lesson.record["taught"]["e"]["taken"].values())
+    assert shares == {round(margin / 1000, 5)}
     assert 0 <= entry["taken_of_nothing"] <= 1
 
 
@@ -347,6 +370,84 @@ def test_recordings_for_statistics_are_of_each_class():
         base.with_statistics({name: given[name] for name in "ab"})
     with pytest.raises(ValueError, match="must have events of every class, got none of c"):
         base.with_statistics({**given, "c": [None]})
+
+
+class Noted:
+    """A recording that notes when it is read."""
+
+    def __init__(self, kind, number, noted):
+        self.kind = kind
+        self.number = number
+        self.noted = noted
+
+    def read(self):
+        self.noted.append(self.number)
+        return recording(self.kind, self.number)
+
+
+@pytest.mark.parametrize(("most", "n_read"), [(18, 2), (20, 3), (1, 1), (1000, 12)])
+def test_of_many_recordings_some_are_read_that_are_spread_evenly(model, monkeypatch, most, n_read):
+    """A recording has three windows, which are read at three moments each."""
+    monkeypatch.setattr(teach, "MOST_READINGS", most)
+    noted = {name: [] for name in (*CLASSES, "nothing")}
+    of_kinds = {
+        name: [Noted(kind, number, noted[name]) for number in range(12)]
+        for kind, name in enumerate(noted)
+    }
+    nothing = of_kinds.pop("nothing")
+    again = replace(model, statistics=None).with_statistics(of_kinds, nothing).statistics
+    for name in CLASSES:
+        assert noted[name] == spread_order(12)[:n_read].tolist()
+    assert noted["nothing"] == list(range(n_read))
+    counts = {moments.count for moments in (*again.moments.values(), again.nothing)}
+    assert counts == {min(most, 9 * 12)}
+
+
+def test_the_readings_of_all_classes_fit_into_a_number_of_bytes(model, monkeypatch):
+    """Those of three classes and of nothing."""
+    n_features = len(model.statistics.center)
+    for n_bytes, most in ((4 * n_features * 4 * 7, 7), (4 * n_features * 4 * 7 - 1, 6), (1, 1)):
+        monkeypatch.setattr(teach, "MOST_BYTES", n_bytes)
+        again = replace(model, statistics=None).with_statistics(of_classes(n=1)).statistics
+        assert {moments.count for moments in again.moments.values()} == {most}
+        assert again.n_components == n_components_for(n_features, 3, 3 * most)
+
+
+@pytest.mark.parametrize("start_us", [None, 0])
+def test_readings_are_what_a_stream_has_at_these_moments(model, start_us):
+    """Bit for bit, also of events that come late, whatever recording was read before."""
+    trained = teach.TrainedNetwork(CONFIG, model.network, model.weights)
+    reader = trained.reader(model.statistics.layer)
+    features = model.features(model.statistics.layer)
+    for first_us in (7_130, 140):
+        events = recording(1, 5, n=200)
+        events["t"] += first_us
+        events["t"][[50, 51]] = events["t"][[51, 30]]
+        readings = reader.of_events(events, start_us)
+        streams = [Processor(one, start_us=start_us) for one in (model, features)]
+        first = 0
+        for k, (stop, _) in enumerate(edges(events["t"], CONFIG, start_us)):
+            for processor in streams:
+                processor.push(events[first:stop])
+            decision, output = (processor.fire() for processor in streams)
+            assert decision.logits.tobytes() == readings.logits[k].tobytes()
+            assert output["features"].tobytes() == readings.features[k].tobytes()
+            first = stop
+        assert first == len(events) and k + 1 == len(readings.is_end) >= 7
+
+
+def test_a_weight_named_as_a_new_one_is_no_obstacle(model):
+    """Although no layer has such a name."""
+    old = "fc2.weight"
+    new = "taught.dense.weight"
+    network = json.loads(json.dumps(model.network).replace(old, new))
+    weights = {new if name == old else name: w for name, w in model.weights.items()}
+    base = replace(model, network=network, weights=weights)
+    taught = base.with_class("d", [recording(3, i) for i in range(5)])
+    volume = np.random.default_rng(1).normal(size=CONFIG.shape).astype(np.float32)
+    logits = CompiledClassifier(taught)(volume)
+    assert logits[:3].tobytes() == CompiledClassifier(model)(volume).tobytes()
+    same(taught.without_class("d"), base)
 
 
 def test_features_and_other_sensors_leave_statistics_behind(model):
