@@ -177,7 +177,10 @@ def _report_of(totals: _Totals, model: Model, n_recordings: int) -> dict[str, An
 
 
 def _box_scores(totals: _Totals, model: Model) -> dict[str, Any]:
-    """COCO's scores at each of `moments_us`, and why there are none, if there are none."""
+    """COCO's scores, for the report: at the windows' ends, and against time.
+
+    If there are none, the report says why.
+    """
     if not totals.boxes:
         return _no_coco("the model says no sizes")
     at_end = model.config.window_us
@@ -191,7 +194,7 @@ def _box_scores(totals: _Totals, model: Model) -> dict[str, Any]:
 
 
 def _no_coco(reason: str) -> dict[str, Any]:
-    """What the report says of COCO's scores if there are none."""
+    """What the report says if there are no COCO scores."""
     return {"coco": None, "coco_against_time_ms": None, "no_coco": reason}
 
 

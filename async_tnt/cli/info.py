@@ -235,7 +235,7 @@ def _model_report(model: Model) -> dict[str, Any]:
 
 
 def _statistics_report(model: Model) -> dict[str, Any] | None:
-    """What a model keeps of its classes, so that more can be taught; None: nothing."""
+    """What a model keeps about its classes for teaching more of them; None if it keeps nothing."""
     statistics = model.statistics
     if statistics is None:
         return None

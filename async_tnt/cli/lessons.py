@@ -29,7 +29,15 @@ def check_teachable(model: Model, name: str) -> None:
 
 
 def lesson_lines(name: str, entry: dict[str, Any]) -> Iterator[str]:
-    """Yield what a class was taught from, and what it takes of other classes, in words."""
+    """Yield lines that say what a class was taught from, and how it is confused with others.
+
+    It "takes" the windows of another class that are classified as the taught class.
+
+    Parameters
+    ----------
+    name : the taught class.
+    entry : the record of its lesson, from `record["taught"]` of a model.
+    """
     n = entry["recordings"]
     recordings = "1 recording" if n == 1 else f"{n} recordings"
     yield f"{name}: taught from {recordings}, {entry['windows']} windows"
@@ -41,8 +49,10 @@ def lesson_lines(name: str, entry: dict[str, Any]) -> Iterator[str]:
     else:
         more = f"; {FEW} recordings are good" if n < FEW else ""
         yield f"  {entry['left_out_right']:.0%} right of what was left out in turn{more}"
+
     shares = sorted(entry["taken"].items(), key=lambda item: -item[1])
     most = ", ".join(f"{share:.1%} of {other}" for other, share in shares[:SHOWN])
-    yield f"  takes, by the statistics, {most}" + (" and less of others" if shares[SHOWN:] else "")
+    rest = " and less of others" if shares[SHOWN:] else ""
+    yield f"  takes, by the statistics, {most}{rest}"
     if "taken_of_nothing" in entry:
         yield f"  and {entry['taken_of_nothing']:.1%} of windows that show none of the classes"

@@ -76,12 +76,12 @@ def model_pixels_of(pixels: Pixels, model: Model | TNTConfig) -> ModelPixels:
 def map_model_sensor(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
     """The (width, height) of the sensor for which a map model is loaded; None if not known yet.
 
-    It is the first known one of these sizes: the region with --crop, the size of --sensor, the
-    mask's size, the sensor that the first recording states.
+    The options come first: the region with --crop, else the camera's size from --sensor or from the
+    mask. Without them it is the sensor that the first recording states.
     """
-    chosen = pixels.region or pixels.camera
-    if chosen is not None:
-        return chosen
+    size_from_options = pixels.region or pixels.camera
+    if size_from_options is not None:
+        return size_from_options
     paths = paths_of(args)
     if not paths or isinstance(paths[0], str):  # a camera or the network
         return None

@@ -63,9 +63,11 @@ class Arithmetic:
         return total
 
     def where(self, a: Any, relation: str, b: Any, then: Any, otherwise: Any) -> ir.Value:
-        """`then if a < b else otherwise`, and likewise with other relations.
+        """`then` where a relation holds between a and b, else `otherwise`.
 
-        It is `otherwise` where a or b is nan.
+        Where a or b is nan, it is `otherwise`.
+
+        relation : "<", ">" or another one of LLVM's comparisons.
         """
         holds = self._builder.fcmp_ordered(relation, *self._floats(a, b))
         return self._builder.select(holds, *self._floats(then, otherwise))

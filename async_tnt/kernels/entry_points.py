@@ -120,7 +120,10 @@ class EntryPoint:
             return self.is_ready or self.kernel._cache.find(self.types) is not None
 
     def __call__(self, *arguments: Any) -> Any:
-        """`checked`, for callers to whom a tenth of a microsecond does not matter."""
+        """Call the kernel with checked types, as `checked` does.
+
+        It takes a tenth of a microsecond more than `checked`.
+        """
         return self.checked(*arguments)
 
     def _prepare_and_call(self, *arguments: Any) -> Any:

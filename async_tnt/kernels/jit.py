@@ -52,7 +52,7 @@ def sources_digest() -> str:
 
 
 SOURCES = sources_digest()
-"""`sources_digest` of the files that this process has imported."""
+"""The digest of the files that this process has imported, see `sources_digest`."""
 
 
 def cached(function: Callable[..., Any], **options: Any) -> Any:

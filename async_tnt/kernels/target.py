@@ -34,7 +34,10 @@ def is_x86() -> bool:
 
 
 def best_kind() -> str | None:
-    """The best kind that this machine's processor is of; None: it is older than all these kinds."""
+    """The best of `KINDS` that this machine's processor belongs to; GENERIC if it is no x86.
+
+    None if it is an x86 processor that lacks instructions of all kinds.
+    """
     if not is_x86():
         return GENERIC
     features = llvm.get_host_cpu_features()
@@ -45,7 +48,7 @@ def best_kind() -> str | None:
 
 
 def chosen_kind() -> str | None:
-    """The kind of processor that this process compiles for; None: it is none of the kinds.
+    """The kind of processor that this process compiles for; None if it is none of the kinds.
 
     It is the best kind, unless NUMBA_CPU_NAME or NUMBA_CPU_FEATURES is set.
     """

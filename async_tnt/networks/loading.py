@@ -21,7 +21,7 @@ from async_tnt.networks.models.model_file import (
     read_tensors,
 )
 from async_tnt.networks.onnx.from_onnx import load_onnx
-from async_tnt.networks.teaching.statistics import PREFIX, read_statistics
+from async_tnt.networks.teaching.statistics import STATISTICS_PREFIX, read_statistics
 from async_tnt.volume.config import TNTConfig
 
 SUFFIX = ".safetensors"
@@ -137,7 +137,7 @@ def _checked_model(tensors: dict[str, np.ndarray], metadata: dict[str, str]) -> 
     statistics = None
     if "statistics" in metadata:
         statistics = read_statistics(tensors, parse_metadata(metadata, "statistics"))
-    weights = {name: w for name, w in tensors.items() if not name.startswith(PREFIX)}
+    weights = {name: w for name, w in tensors.items() if not name.startswith(STATISTICS_PREFIX)}
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")

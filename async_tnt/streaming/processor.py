@@ -328,7 +328,7 @@ class Processor(TriggerAttributes, Generic[AnswerT]):
         windows.set_limit(self._triggers.next_due_us)
 
     def _oldest_window(self) -> tuple[TNTVolume, int] | None:
-        """The oldest open window and its start; None: no window is open."""
+        """The oldest open window and its start; None if no window is open."""
         windows = self._windows
         if not len(windows):
             return None

@@ -153,7 +153,7 @@ def astream(
     finish: bool = True,
     **settings: Unpack[Settings],
 ) -> AsyncIterator[Any]:
-    """`stream` for an asynchronous `source`.
+    """Do what `stream` does, for an asynchronous `source`.
 
     The classifier runs in the event loop, for microseconds at a time.
 

@@ -144,7 +144,10 @@ class Triggers:
         return True
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
-        """Begin again for an oldest window from `start_us` on; None: no window is open."""
+        """Begin again for the oldest open window.
+
+        start_us : where the window starts; None if no window is open.
+        """
         self.n_at_decision = 0
         self.forget()
         self._ints[T.DUE_US] = NEVER_US

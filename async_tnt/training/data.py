@@ -313,7 +313,7 @@ def _read_test(folder: Path, how: Reading, dataset: Dataset) -> Dataset:
 
 
 def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
-    """bool, (H, W): pixels of the sensor whose events were left out; None: no pixel."""
+    """bool, (H, W): pixels of the sensor whose events were left out; None if there are none."""
     mask = pixels.mask_of(dataset.camera)
     if mask is None:
         return None

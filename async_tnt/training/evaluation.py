@@ -37,7 +37,8 @@ class Evaluation:
     times_ms : the M moments, in milliseconds since a window's start; the last one is its end.
     probabilities : float64, shape (M, N, n_classes), at these moments.
     nothing : name of a kind in `augment.KINDS` -> float64, shape (N, n_classes): probabilities at
-        the ends of windows that show this kind of nothing instead of their recordings.
+        the windows' ends if events of this kind, which show no class, replace those of the
+        recordings.
     """
 
     windows: Windows
@@ -157,8 +158,8 @@ def class_probabilities(
     pipeline : the model. If it is in training mode, it is in training mode again afterwards.
     windows : the windows to classify.
     until_us : only the events of each window's first `until_us` microseconds count; all by default.
-    content : SHOWN, or the kind of nothing that the windows show instead of their recordings, see
-        `Draws`.
+    content : SHOWN, or one of the values of `augment.KINDS`: the windows show events of this kind
+        instead of their recordings, see `Draws`.
     """
     if len(windows) == 0:
         raise ParameterValueError("windows", "must hold at least one window", "none")

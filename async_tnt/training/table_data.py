@@ -124,7 +124,7 @@ class _Sides:
     Parameters
     ----------
     training, validation : the windows.
-    n_files : number of recordings that they are of.
+    n_files : number of recordings from which the windows were made.
     held_out : names of the recordings that are held out.
     held_out_by : the rule that divided them, as text for the model's record.
     """

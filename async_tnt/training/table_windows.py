@@ -357,7 +357,7 @@ def windows_before(
     Parameters
     ----------
     packets : a recording's events, structured arrays.
-    ends_us : the times before which windows end, increasing.
+    ends_us : the end of each window, which the window does not include, increasing.
     window_us : length of a window.
     """
     # the packets of window k or later ones, each with the time of its latest event

@@ -73,7 +73,11 @@ class Windows:
         return np.maximum(first, self.stop - self.n_events), self.stop
 
     def ends_us(self, window_us: int) -> np.ndarray:
-        """The times before which windows end: int64, (N,). `window_us` is a window's duration."""
+        """The end of each window, which the window does not include: int64, (N,).
+
+        A window of a number of events ends a microsecond after its last event. Otherwise it ends
+        `window_us`, its duration, after its start.
+        """
         if self.stop is None:
             return self.start_us + window_us
         ends: np.ndarray = self.recordings.t[self.stop - 1].astype(np.int64) + 1

@@ -105,13 +105,13 @@ def limits_of(arrays: Sequence[np.ndarray]) -> Limits:
 
 
 def picture_of(array: np.ndarray, limits: Limits) -> np.ndarray:
-    """The picture of an output that is not numbers.
+    """The picture of an output of any kind but "numbers", see `kind_of`.
 
     Parameters
     ----------
-    array : float32, shape (C, H, W). It may hold nan, which is `NO_NUMBER`, and inf, which is
-        beyond any limit.
-    limits : see `limits_of`. Three channels or more have no use for them.
+    array : float32, shape (C, H, W). A nan has the colour `NO_NUMBER`. An inf lies beyond any
+        limit.
+    limits : see `limits_of`. They are not used for three channels or more.
 
     Returns
     -------

@@ -136,10 +136,10 @@ class StreamLog:
     def write_pending(self) -> None:
         """Log the answers since the previous picture, each at its own time."""
         n_left_out = self._n_pending - len(self._pending)
-        for kept in self._pending:
+        for i, kept in enumerate(self._pending):
             self._set_time(kept.time_us)
-            self._answers.log_past(kept, n_left_out)
-            n_left_out = 0
+            # the answers that are left out came before the first one that is kept
+            self._answers.log_past(kept, n_left_out if i == 0 else 0)
         self._pending.clear()
         self._n_pending = 0
 

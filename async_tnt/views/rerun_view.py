@@ -205,17 +205,19 @@ class RerunView(contextlib.AbstractContextManager["RerunView[AnswerT]"], Generic
     def _picture(self, at_us: int, last: bool = False) -> None:
         """Take a picture of the state just before `at_us`.
 
-        In a live stream, the picture is left out if the previous one was too short a time ago,
-        unless it is the last one.
+        A live stream leaves out a picture that comes too soon after the previous one, except for
+        the last picture.
         """
         now_s = time.perf_counter()
         answer = self.processor.fire()
         events = np.concatenate(self._recent)
-        image_us = at_us - self._picture_us
-        self._recent = [events[events["t"] >= min(image_us, answer.window_start_us)]]
+        image_start_us = at_us - self._picture_us
+        needed_from_us = min(image_start_us, answer.window_start_us)
+        self._recent = [events[events["t"] >= needed_from_us]]
         if now_s >= self._next_picture_s or last:
             raw = self._raw_volume(events, answer)
-            self.log.write(at_us, answer, events[events["t"] >= image_us], raw, self.processor)
+            in_image = events[events["t"] >= image_start_us]
+            self.log.write(at_us, answer, in_image, raw, self.processor)
             if self._live:
                 took_s = time.perf_counter() - now_s
                 self._next_picture_s = now_s + max(LIVE_S, 2 * took_s)

@@ -155,7 +155,7 @@ class EventDecoder:
         return columns
 
     def decode_one(self, t: int, x: int, y: int, p: int, apply_policy: bool = True) -> Columns:
-        """`decode` for one event; quick for Python integers."""
+        """Do what `decode` does, for one event. It is quick for Python integers."""
         width, height = self.sensor
         try:
             # `p * 1` makes an integer of a bool

@@ -192,7 +192,7 @@ class TNTVolume:
             self._running.now = False
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update_one` for callers that manage windows themselves.
+        """Add one event, for callers that manage windows themselves.
 
         Returns
         -------
@@ -390,7 +390,7 @@ class TNTVolume:
         return start_us, slots[-1] if n else start_us, n
 
     def _sliding_moment(self) -> tuple[int, int, int]:
-        """`moment` of a window that slides."""
+        """The value of `moment` for a window that slides."""
         ints = self._ints
         n = int(ints[S.RING_N])
         newest_us = int(ints[S.NEWEST_US])

@@ -188,7 +188,7 @@ def splat(
 
 
 def check_bins(bins: int) -> int:
-    """`bins`, a whole number of at least 1."""
+    """The number of bins, if it is a whole number of at least 1."""
     if whole_number("bins", bins) < 1:
         raise ValueError(f"`bins` must be at least 1, got {bins}")
     return bins

@@ -329,7 +329,10 @@ def _seen_in_word(program, bits, first_source, n_sources, vertical, row, word):
 
 @compiled
 def _list_blocks(program, at, places, bits):
-    """`_list_dirty` of a PICK with blocks: those of the places of its source that have changed."""
+    """List the places of a PICK with blocks that lie in the blocks of changed source places.
+
+    Returns the list's length, as `_list_dirty` does.
+    """
     first_source = program[at + P.SOURCES]
     n_sources = program[at + P.N_SOURCES]
     block = program[at + P.BLOCK]
@@ -358,7 +361,7 @@ def _list_blocks(program, at, places, bits):
 
 @inlined
 def _list_all(program, at, places):
-    """`_list_dirty` where nothing has been computed: all places."""
+    """List all places of a step, because nothing has been computed. Returns the list's length."""
     end = program[P.LIST]
     for y in range(program[at + P.ROWS]):
         for x in range(program[at + P.COLUMNS]):

@@ -50,7 +50,9 @@ def absorb_spikes_and_decide(
     probabilities,
     notes,
 ):
-    """`classify.absorb_and_decide` for a spiking network.
+    """Add events to a spiking network, and make the decisions that are due in between.
+
+    This is `classify.absorb_and_decide` for spiking networks.
 
     Parameters
     ----------

@@ -207,7 +207,10 @@ def _look_at_watched(program, stage, params, state, now_us):
 
 @inlined
 def _fire_currents(program, stage, params, state, place, now_us, n):
-    """`_fire_place` for neurons with currents, after they have leaked up to now."""
+    """Let the neurons of a place, which have currents, leak up to now, then add their sums.
+
+    Otherwise it does what `_fire_place` does, and returns the list's new length, too.
+    """
     ints = state.view(np.int64)
     size = program[stage + L.PARAMS_SIZE]
     first_param = params_of(program, stage, place)

@@ -2,6 +2,9 @@
 
 The order of additions is part of a network's meaning: links in their order, and in a link what goes
 on from its stage in the order of indices (row, column, channel).
+
+A `width` is the number of numbers at one place, as WIDTH in `layout`; it counts no columns. The
+coordinates y and x of a place of the link's stage include the padding of the link.
 """
 
 import numpy as np
@@ -54,6 +57,7 @@ def first_place(padded, reach, stride):
 
 @compiled
 def _spread_convolution(program, stage, link, weights, state):
+    """Add each number that goes on, times a weight of each filter, to the places it reaches."""
     ints = state.view(np.int64)
     source = source_of(program, link)
     n_channels = program[source + L.CHANNELS]
@@ -128,6 +132,7 @@ def _add_few(state, first, value, weights, first_weight, n):
 
 @compiled
 def _spread_dense(program, stage, link, weights, state):
+    """Add each number that goes on, times its weight for each channel, to a stage of one place."""
     ints = state.view(np.int64)
     source = source_of(program, link)
     indices = program[source + L.LIST]
@@ -145,6 +150,7 @@ def _spread_dense(program, stage, link, weights, state):
 
 @compiled
 def _spread_pooling(program, stage, link, params, state):
+    """Add each number that goes on, times one weight, to its channel of all windows it lies in."""
     ints = state.view(np.int64)
     source = source_of(program, link)
     width = program[source + L.WIDTH]
@@ -181,6 +187,7 @@ def _spread_pooling(program, stage, link, params, state):
 
 @compiled
 def _spread_scaled(program, stage, link, weights, state):
+    """Add each number that goes on at its own index; a SCALED link has a weight for each."""
     ints = state.view(np.int64)
     source = source_of(program, link)
     width = program[source + L.WIDTH]

@@ -175,7 +175,10 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
 
 @compiled
 def _absorb_event(buffer, ints, t, x, y, p):
-    """Add one event before LIMIT_US. Returns False if it is late, and then only counts it."""
+    """Add one event, whose time must be before LIMIT_US. Returns whether it was added.
+
+    A late event is counted, but not added.
+    """
     if ints[S.RING] != 0:
         return slide_one(buffer, ints, t, x, y, p)
     ints[S.RECEIVED] += 1
@@ -211,6 +214,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
     ints[ints[S.LOG] + place_in_log] = corner
     ints[S.N_LOG] += 1
 
+    # An event that is not kept goes on without a branch: its weights are 0, see `place_event`.
     row = np.uint64(ints[S.ROW])
     second = np.uint64(ints[S.SECOND])
     if ints[S.COMBINE] == S.COMBINE_SUM:

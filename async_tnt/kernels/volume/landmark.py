@@ -122,6 +122,7 @@ def displace(buffer, ints, t, x, y, m):
 
 @inlined
 def _running_block(buffer, ints, t, x, y, m):
+    """Write the displacements from the running centroid of the events up to each one."""
     packed_sums = block_of(ints, S.PREFIX)
     num_x = block_of(buffer, S.NUM_X)
     num_y = block_of(buffer, S.NUM_Y)
@@ -176,6 +177,7 @@ def _raw_block(buffer, ints, x, y, m):
 
 @inlined
 def _line_block(buffer, ints, t, x, y, m, remove_flow):
+    """Write the displacements from the running line, which each event first updates."""
     num_x = block_of(buffer, S.NUM_X)
     num_y = block_of(buffer, S.NUM_Y)
     den = block_of(buffer, S.DEN)

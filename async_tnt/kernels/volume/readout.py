@@ -145,7 +145,7 @@ def _note_read(ints):
 
 @compiled
 def _copy_planes(buffer, ints, array):
-    """`cells_to_float32` for all cells of the bins that changed."""
+    """Copy all cells of the bins that changed into the array, as float32."""
     n_channels, height, width = array.shape
     # With `split` polarity, the OFF bins lie OFF_SHIFT cells behind the ON bins. Otherwise
     # OFF_SHIFT is 0, and each channel is a bin of its own.
@@ -163,7 +163,7 @@ def _copy_planes(buffer, ints, array):
 
 @inlined
 def _copy_around(buffer, ints, corner, array):
-    """`cells_to_float32` for the cells that an event at this corner changed."""
+    """Copy the cells that an event at this corner changed into the array, as float32."""
     n_channels, height, width = array.shape
     has_slices = ints[S.SLICE_US] != 0
     b0, y0, x0 = cell_at(ints, corner, has_slices)

@@ -83,10 +83,10 @@ def slide(buffer, ints, t, x, y, p, first, last):
 
 @compiled
 def _slide_in_slice(buffer, ints, t, x, y, p, first, last):
-    """`slide` up to the first event of a later slice, if the window has slices.
+    """Do what `slide` does, but only up to the first event of a later slice, if there are slices.
 
-    An event before the stream's first window, or that would have left already, is late, and only
-    counted.
+    An event is late if it is before the stream's first window, or would have left the window
+    already. A late event is counted, but not added.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _let_one_out(buffer, ints, ring, size, oldest, n, n_log):
 
 @inlined
 def _let_out(buffer, ints, ring, size, oldest, n, n_log, left_us):
-    """`_let_one_out` for all events at or before a time."""
+    """Take all events at or before `left_us` from their cells, see `_let_one_out`."""
     while n > 0 and ints[ring + 2 * oldest] <= left_us:
         oldest, n, n_log = _let_one_out(buffer, ints, ring, size, oldest, n, n_log)
     return oldest, n, n_log
@@ -208,7 +208,9 @@ def _note_changed(ints):
 
 @compiled
 def slide_one(buffer, ints, t, x, y, p):
-    """`slide` for one event before LIMIT_US, in any slice. Returns whether it came in.
+    """Add one event, whose time must be before LIMIT_US, to a window that slides, in any slice.
+
+    Events that leave the window are taken out. Returns whether the event was added.
 
     t, x, y, p : int. Microseconds, pixel, polarity: positive for ON.
     """

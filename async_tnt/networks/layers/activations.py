@@ -17,13 +17,13 @@ from async_tnt.networks.layers.steps import Map, StepList
 
 
 def _relu_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = step_list.step_to_change(layer, inputs[0])
+    step = step_list.step_to_fold_into(layer, inputs[0])
     step.low = 0.0
     return step.output
 
 
 def _leaky_relu_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = step_list.step_to_change(layer, inputs[0])
+    step = step_list.step_to_fold_into(layer, inputs[0])
     step.slopes[:] = layer["slope"]
     return step.output
 
@@ -35,7 +35,7 @@ def _prelu_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -
 
 
 def _prelu_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = step_list.step_to_change(layer, inputs[0])
+    step = step_list.step_to_fold_into(layer, inputs[0])
     step.slopes[:] = step_list.tensor(layer, "slope")
     return step.output
 
@@ -49,14 +49,14 @@ def _clip_shape(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) ->
 
 
 def _clip_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = step_list.step_to_change(layer, inputs[0])
+    step = step_list.step_to_fold_into(layer, inputs[0])
     step.low = -np.inf if layer["low"] is None else layer["low"]
     step.high = np.inf if layer["high"] is None else layer["high"]
     return step.output
 
 
 def _softshrink_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    """Add x - clip(x, -lambda, lambda), which is exactly 0 between -lambda and lambda."""
+    """Add steps for x - clip(x, -lambda, lambda), exactly 0 between -lambda and lambda."""
     (source,) = inputs
     limited = step_list.copy(source, source.like())
     step = limited.writers[0]
@@ -82,7 +82,7 @@ def _function_steps(name: str) -> StepsRule:
 
 
 def _hardsigmoid_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map:
-    step = step_list.step_to_change(layer, inputs[0], linear=True)
+    step = step_list.step_to_fold_into(layer, inputs[0], linear=True)
     step.weights = step.weights / np.float32(6)
     step.bias = step.bias / np.float32(6) + np.float32(0.5)
     step.low = 0.0

@@ -108,7 +108,7 @@ def _batch_norm_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> M
     bias = step_list.tensor_or(layer, "bias", 0.0, n).astype(np.float64)
     factor = weight / np.sqrt(variance + layer["epsilon"])
 
-    step = step_list.step_to_change(layer, inputs[0], linear=True)
+    step = step_list.step_to_fold_into(layer, inputs[0], linear=True)
     weight_factor = factor if step.kind == SUM else factor[:, None, None, None]
     step.weights = (step.weights * weight_factor).astype(np.float32)
     step.bias = ((step.bias - mean) * factor + bias).astype(np.float32)

@@ -60,7 +60,7 @@ def _normalized(
 ) -> Map:
     """Add the steps of a norm.
 
-    mean : adds the mean of a map's numbers, times a factor, plus a bias.
+    mean : adds steps that compute the mean of a map's numbers, times a factor, plus a bias.
     """
     centred = _of_two(step_list, TOTAL, source, mean(source, -1.0, 0.0))
     # the mean of large numbers is rounded: what is left of it is small, and known better
@@ -72,7 +72,10 @@ def _normalized(
 def _mean_of_groups(
     step_list: StepList, layer: Layer, source: Map, factor: float, bias: float
 ) -> Map:
-    """Add the mean of each group, times a factor, plus a bias: one number for each channel."""
+    """Add steps that compute the mean of each group, times a factor, plus a bias.
+
+    Returns a map of one place, in which each channel has the number of its group.
+    """
     channels = source.channels
     groups = layer["groups"]
     n_places = source.rows * source.columns
@@ -87,7 +90,7 @@ def _mean_of_groups(
 
 
 def _scaled(step_list: StepList, layer: Layer, centred: Map, variance: Map) -> Map:
-    """Add the product with 1 / sqrt(variance), then the weight and bias of each channel."""
+    """Add steps that divide by sqrt(variance), then apply each channel's weight and bias."""
     channels = centred.channels
     root = step_list.add(
         FUNCTION,

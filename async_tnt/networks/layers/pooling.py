@@ -54,7 +54,7 @@ def _sum_pool_steps(step_list: StepList, layer: Layer, inputs: list[Map]) -> Map
 
 
 def _sums_of_windows(step_list: StepList, layer: Layer, inputs: list[Map], factor: float) -> Map:
-    """Add the sum of each window, times a factor; returns the map of the sums."""
+    """Add a step that sums each window, and multiplies the sum by a factor; returns its map."""
     (source,) = inputs
     rows, columns = layer["kernel"]
     zeros = np.zeros(source.channels)

@@ -142,7 +142,7 @@ class Step:
         return can_be and input_map.sides == (1, 1) != self.output.sides
 
     def _reads(self, axis: int, n_outputs: int) -> int:
-        """`reads` along one axis, of an input whose places are not for all."""
+        """How many rows (axis 0) or columns (axis 1) of an input are read, see `reads`."""
         n_places = -(-n_outputs // self.block)  # rounded up
         last_begin = (n_places - 1) * self.stride[axis] - self.padding[axis]
         reach = (self.kernel[axis] - 1) * self.dilation[axis]
@@ -205,11 +205,12 @@ class StepList:
         ones = np.ones((1, source.channels))
         return self.add(SUM, [source], output, ones, np.zeros(source.channels), channel=channel)
 
-    def step_to_change(self, layer: Layer, source: Map, *, linear: bool = False) -> Step:
-        """A step that a layer of one input may change, so that it needs no step of its own.
+    def step_to_fold_into(self, layer: Layer, source: Map, *, linear: bool = False) -> Step:
+        """The step that can do the work of a layer of one input as part of its own work.
 
-        It is the step that computes the layer's input, if no other layer reads this input and the
-        step has no activation yet. Otherwise it is a new step, which copies the input.
+        The caller then changes this step. It is the step that computes the layer's input, if no
+        other layer reads this input and the step has no activation yet. Otherwise a new step is
+        added, which copies the input.
 
         Parameters
         ----------
@@ -219,15 +220,16 @@ class StepList:
         is_read_here_only = self._readers[layer["inputs"][0]] == 1
         if len(source.writers) == 1 and is_read_here_only:
             step = source.writers[0]
-            can_change = step.kind not in WITHOUT_ACTIVATION
             if linear:
-                can_change = step.kind in (MIX, SUM)
-            if can_change and not step.is_activated:
+                has_right_kind = step.kind in (MIX, SUM)
+            else:
+                has_right_kind = step.kind not in WITHOUT_ACTIVATION
+            if has_right_kind and not step.is_activated:
                 return step
         return self.copy(source, source.like()).writers[0]
 
     def sum_of_places(self, source: Map, factor: float, bias: np.ndarray) -> Map:
-        """Add the sum over all places, times a factor; returns the map of the sum.
+        """Add a step that sums all places, times a factor; returns the map of the sum.
 
         Each row is summed first, then the sums of the rows are summed. So after a change in one
         row, only this row and the row sums have to be summed again.

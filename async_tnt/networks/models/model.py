@@ -565,7 +565,7 @@ class Model:
         return replace(self, config=config, statistics=statistics)
 
     def _at_same_share(self, sensor: Sensor) -> Model:
-        """`for_sensor` of a model that is `by_share`."""
+        """The model for another sensor, see `for_sensor`, if this model is `by_share`."""
         cells = min(self.config.grid) / min(sensor)
         grid = (in_grid_steps(cells * sensor[0]), in_grid_steps(cells * sensor[1]))
         config = self.config.replace(sensor=sensor, grid=grid)

@@ -30,12 +30,12 @@ def to_nir(model: Model, *, polarity: PolarityOrder | None = None) -> nir.NIRGra
     `polarity`, `reset` and `dt`, gives the same layers and weights. These three, and the model's
     window and classes, are not part of what a graph means; they stand in its metadata.
 
-    A network of ReLUs is written with its weights as they are. NIR 1.0 has no ReLU, so neurons (IF)
-    with a threshold of 1 stand in their place, as when a simulator converts a network: they fire
-    floor(a) times within a window for an activation a. The metadata say that ReLUs are meant, and
-    hold configuration, classes and record. So `Model.from_nir` gives the same network of ReLUs
-    again. Batch norms become part of the layer before them, and a global average pooling becomes an
-    average pooling of the whole map. For a spiking network with finer rates see
+    A network of ReLUs is written with its weights as they are. NIR 1.0 has no ReLU. So neurons (IF)
+    with a threshold of 1 stand in place of the ReLUs. For an activation a, such a neuron fires
+    floor(a) times within a window, as when a simulator converts a network. The metadata say that
+    ReLUs are meant, and hold configuration, classes and record. So `Model.from_nir` gives the same
+    network of ReLUs again. Batch norms become part of the layer before them, and a global average
+    pooling becomes an average pooling of the whole map. For a spiking network with finer rates see
     `spiking_from_rates`.
 
     Parameters

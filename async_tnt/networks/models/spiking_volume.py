@@ -243,7 +243,10 @@ def _params_of(params: np.ndarray, record: np.ndarray, map_shape: tuple[int, ...
 def _added_by_current(
     passed_us: np.ndarray, rate: np.ndarray, current_rate: np.ndarray
 ) -> np.ndarray:
-    """`added_by_current` of the kernels, for arrays."""
+    """How much currents of 1 add to membranes of the resistance 1 while these times pass.
+
+    This is `added_by_current` of `kernels.spiking.fire`, for arrays.
+    """
     x = passed_us * np.abs(rate - current_rate)
     share = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
     slower_leak = np.exp(-passed_us * np.minimum(rate, current_rate))

@@ -65,9 +65,9 @@ def _network(
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:
-    """`torch_regressor` as a function from one raw volume (C, H, W) to its landmark.
+    """The landmark network as a function from one raw volume (C, H, W) to its landmark.
 
-    The landmark is (x, y) in grid pixels.
+    The landmark is (x, y) in grid pixels. The model must have a landmark network.
     """
     import torch
 

@@ -99,7 +99,10 @@ def row_of(
 
 
 def others_of(statistics: Statistics, name: str) -> dict[str | None, Moments]:
-    """The moments of all other classes than `name`, and under None those of nothing, if known."""
+    """The moments of all classes but `name`.
+
+    If the moments of windows that show nothing are known, their key is None.
+    """
     others: dict[str | None, Moments] = {
         other: moments for other, moments in statistics.moments.items() if other != name
     }
@@ -193,7 +196,7 @@ def choose_margin(recordings: Sequence[np.ndarray], others: Mapping[str | None, 
     Parameters
     ----------
     recordings : the vectors u of each recording of the class, (N, p + 1).
-    others : moments of u in windows of each other class, and of nothing.
+    others : moments of u in windows of each other class, and in windows that show nothing.
     """
     if len(recordings) < LEAST_RECORDINGS:
         return Choice(MARGIN)

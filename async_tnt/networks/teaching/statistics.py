@@ -23,7 +23,7 @@ READINGS_A_COMPONENT = 4
 """How many readings there are for each component, at least. With fewer, a row would fit single
 readings rather than classes."""
 
-PREFIX = "statistics:"
+STATISTICS_PREFIX = "statistics:"
 """What the names of the tensors in a model's file begin with. No layer's weights have a colon."""
 
 
@@ -187,7 +187,7 @@ def _directions(covariance: np.ndarray, rank: int) -> np.ndarray:
 
 
 def _entries(statistics: Statistics) -> list[Moments]:
-    """The moments of all classes, and then those of nothing if they are known."""
+    """The moments of all classes, then of windows that show nothing, if these are known."""
     nothing = [] if statistics.nothing is None else [statistics.nothing]
     return [*statistics.moments.values(), *nothing]
 
@@ -202,7 +202,7 @@ def tensors_of_statistics(statistics: Statistics) -> dict[str, np.ndarray]:
         "means": np.stack([moments.mean for moments in entries]),
         "scatters": np.stack([moments.scatter for moments in entries]),
     }
-    return {f"{PREFIX}{name}": np.ascontiguousarray(t) for name, t in tensors.items()}
+    return {f"{STATISTICS_PREFIX}{name}": np.ascontiguousarray(t) for name, t in tensors.items()}
 
 
 def description_of_statistics(statistics: Statistics) -> dict[str, Any]:
@@ -217,7 +217,7 @@ def description_of_statistics(statistics: Statistics) -> dict[str, Any]:
 
 
 def read_statistics(tensors: Mapping[str, np.ndarray], description: Any) -> Statistics:
-    """The statistics of a file's tensors, which have `PREFIX`, and description.
+    """The statistics in a model's file, from its tensors and the description of the statistics.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def read_statistics(tensors: Mapping[str, np.ndarray], description: Any) -> Stat
             description[key] for key in ("layer", "logits", "trained", "classes", "margins")
         )
         center, projection, counts, means, scatters = (
-            tensors[f"{PREFIX}{key}"]
+            tensors[f"{STATISTICS_PREFIX}{key}"]
             for key in ("center", "projection", "counts", "means", "scatters")
         )
     except (KeyError, TypeError) as error:

@@ -62,12 +62,14 @@ class LayerList:
 
     Attributes
     ----------
-    names : node -> the layer that computes the node's value.
-    parts : node whose value is a tuple -> the layers that compute the parts, None for an empty one.
+    names : node -> the layer that computes the node's value. A view has the layer of the map that
+        it views.
+    parts : node -> the layers that compute the parts of the node's value, for a value that is a
+        tuple. None stands for a part without channels.
     channels_last : nodes whose value has its channels as last axis. Their layers compute the map
         with the channels as first axis.
-    grouped : node that is a view of a map with its channels in groups -> the groups. Its layer
-        computes the map itself.
+    grouped : node -> how the node's value divides the channels of a map into groups, for a value
+        that is such a view.
     """
 
     def __init__(self, shape: tuple[int, ...], prefix: str) -> None:
@@ -112,7 +114,7 @@ class LayerList:
         return self.source_of_view(node)
 
     def source_of_view(self, node: Any) -> str:
-        """`source` of a node that may be a view with its channels in groups."""
+        """The name of the layer that computes a node's value, or the map that the value views."""
         if isinstance(node, torch.Tensor):
             raise NotImplementedError(
                 f"a constant of shape {tuple(node.shape)} here has no compiled form"

@@ -24,7 +24,10 @@ SHARE = 0.01
 """The largest share of events off the sensor that does not mean another sensor."""
 
 WIDE_DTYPE = np.dtype([("t", "<i8"), ("x", "<i8"), ("y", "<i8"), ("p", "u1")])
-"""`EVENT_DTYPE` for events whose pixels do not fit its 16 bits: these are off every sensor."""
+"""The type of events whose pixels may not fit into the 16 bits of `EVENT_DTYPE`.
+
+Events whose pixels do not fit are off every sensor.
+"""
 
 
 class EventsOffSensor(UserWarning):

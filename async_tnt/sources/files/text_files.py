@@ -161,7 +161,10 @@ class TextSource(Source):
             line += len(rows) - 1
 
     def _columns(self, rows: list[str]) -> Four | None:
-        """The columns t, x, y, p of some rows; None if one of the rows is not of whole numbers."""
+        """The columns t, x, y, p of some rows; None if one of the rows is no event.
+
+        All four are whole numbers. Times in seconds are first rounded to microseconds.
+        """
         if not any(rows):
             empty = np.zeros(0, np.int64)
             return empty, empty, empty, empty
@@ -170,7 +173,8 @@ class TextSource(Source):
             (name, "f8") if name else (f"skipped {i}", "U1") for i, name in enumerate(self.columns)
         ]
         converters: Any = None
-        # A call of a function for each polarity is slow, so this is done only if some may be words.
+        # NumPy would call `_polarity` for every row, which is slow. So it does only if some
+        # polarities may be words.
         if _WORD.search("\n".join(rows)):
             converters = {self.columns.index("p"): _polarity}
         try:

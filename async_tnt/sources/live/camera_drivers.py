@@ -115,7 +115,7 @@ class FoundCamera:
     kinds: tuple[str, ...]
     """Every KIND of `camera:KIND` that matches it."""
     serial: str | None
-    """Serial number of the camera; None: the library does not tell it."""
+    """Serial number of the camera; None if the library does not tell it."""
     open: Callable[[], Device]
     """Opens the camera."""
     problem: str | None = None

@@ -235,7 +235,9 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
 
 
 def _is_wanted(camera: FoundCamera, kind: str | None, serial: str | None) -> bool:
-    """Whether a camera is of this kind, and has this serial number; None: any.
+    """Whether a camera is of this kind, and has this serial number.
+
+    None stands for any kind, or any number.
 
     A camera that hides its serial number may be the right one. An attempt to open it shows why it
     hides the number.

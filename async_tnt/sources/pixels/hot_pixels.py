@@ -150,7 +150,7 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
 
 
 def listed_pixels(counts: np.ndarray, hot: np.ndarray) -> list[dict[str, int]]:
-    """`x`, `y` and `events` of each hot pixel, busiest first."""
+    """A dict for each hot pixel, with keys `x`, `y` and `events`, a count; busiest first."""
     pixels = [{"x": x, "y": y, "events": int(counts[y, x])} for y, x in np.argwhere(hot).tolist()]
     return sorted(pixels, key=lambda pixel: -pixel["events"])
 

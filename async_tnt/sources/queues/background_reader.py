@@ -103,7 +103,7 @@ class BackgroundReader(PacketQueue):
         self.close()
 
     async def aclose(self, timeout_s: float = 1.0) -> None:
-        """`close`, while asyncio's other tasks run."""
+        """Do what `close` does, while asyncio's other tasks run."""
         await asyncio.to_thread(self.close, timeout_s)
 
     async def __aenter__(self) -> Self:

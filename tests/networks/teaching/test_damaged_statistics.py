@@ -8,7 +8,7 @@ from safetensors import safe_open
 
 from async_tnt import load_model
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
-from async_tnt.networks.teaching.statistics import PREFIX
+from async_tnt.networks.teaching.statistics import STATISTICS_PREFIX
 
 
 def opened(path):
@@ -99,7 +99,10 @@ def test_a_wrong_description(file, description, message):
 )
 def test_wrong_tensors(file, name, change, message):
     path, tensors, metadata = file
-    tensors = {**tensors, PREFIX + name: np.ascontiguousarray(change(tensors[PREFIX + name]))}
+    tensors = {
+        **tensors,
+        STATISTICS_PREFIX + name: np.ascontiguousarray(change(tensors[STATISTICS_PREFIX + name])),
+    }
     rewrite(path, tensors, metadata)
     with pytest.raises(ValueError, match=message):
         load_model(path)
@@ -108,8 +111,10 @@ def test_wrong_tensors(file, name, change, message):
 @pytest.mark.parametrize("name", ["counts", "means", "scatters", "projection", "center"])
 def test_a_missing_tensor(file, name):
     path, tensors, metadata = file
-    rewrite(path, {key: t for key, t in tensors.items() if key != PREFIX + name}, metadata)
-    with pytest.raises(ValueError, match=f"its statistics have no '{PREFIX}{name}'"):
+    rewrite(
+        path, {key: t for key, t in tensors.items() if key != STATISTICS_PREFIX + name}, metadata
+    )
+    with pytest.raises(ValueError, match=f"its statistics have no '{STATISTICS_PREFIX}{name}'"):
         load_model(path)
 
 
