@@ -214,6 +214,52 @@ def incremental_work(report: dict[str, Any]) -> str:
     )
 
 
+layer_machine = of_report("layer_times")(about_machine)
+
+
+@of_report("layer_times")
+def layer_peak(report: dict[str, Any]) -> str:
+    """A sentence on what the core can do at most."""
+    peak = report["peak"]["max"]
+    lanes = report["settings"]["lanes"]
+    return (
+        f"At most {peak:.0f} billion multiplications a second, each with an addition, in registers "
+        f"of {lanes} numbers."
+    )
+
+
+@of_report("layer_times")
+def layer_times(report: dict[str, Any]) -> str:
+    """A table of the time and the multiplications of each part of a decision, by new events."""
+    models = report["models"]
+    numbers = list(next(iter(models.values())))
+    peak = report["peak"]["max"]
+    body = []
+    for name, of_numbers in models.items():
+        parts = [row["part"] for row in of_numbers[numbers[0]]]
+        for k, part in enumerate(parts):
+            cells = [_layer_cell(of_numbers[n_new][k], peak) for n_new in numbers]
+            body.append([f"`{name}`" if k == 0 else "", part, *cells])
+        totals = []
+        for n_new in numbers:
+            rows = of_numbers[n_new]
+            total = {one: sum(row[one] for row in rows) for one in ("us", "multiplications")}
+            totals.append(_layer_cell(total, peak))
+        body.append(["", "total", *totals])
+    head = [f"{int(n_new):,} new" for n_new in numbers]
+    return table(["", "", *head], body)
+
+
+def _layer_cell(row: dict[str, float], peak: float) -> str:
+    """Microseconds, thousands of multiplications, and what share of the peak they are."""
+    text = f"{row['us']:.1f}"
+    n = row["multiplications"]
+    if n <= 0 or row["us"] <= 0:
+        return text
+    share = 1e-3 * n / row["us"] / peak
+    return f"{text} / {1e-3 * n:,.0f} / {share:.0%}".replace("%", " %")
+
+
 @of_report("box_cost")
 def box_cost(report: dict[str, Any]) -> str:
     """A table of a decision with boxes after one event, beside one with points."""

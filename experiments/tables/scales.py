@@ -123,12 +123,13 @@ def object_cost() -> str:
     return box_cost(results("box_cost_scales"))
 
 
-def object_levels() -> str:
-    """A table of networks of one level and of two, in scenes of the tuning seed."""
+def object_networks() -> str:
+    """A table of networks between which was chosen, in scenes of the tuning seed."""
     reports = {
-        "pyramid, two levels": results("object_scales_tuning"),
-        "one level": results("object_scales_one_level_middles"),
-        "map, one level without middles of boxes": results("object_scales_one_level"),
+        "`boxes`": results("object_scales_tuning"),
+        "`map`, which says no middles of boxes": results("object_scales_map"),
+        "as `boxes`, boxes weigh as much as classes": results("object_scales_equal_weights"),
+        "two levels, boxes weigh as much as classes": results("object_scales_two_levels"),
     }
     rows = []
     for title, report in reports.items():
@@ -139,7 +140,7 @@ def object_levels() -> str:
             cells += [_three([one[name] for one in ends]) for name in ("map_50", "map")]
         rows.append(cells)
     head = ["network", "networks", "million multiplications a pass"]
-    for sensor in reports["one level"]["scenes"]:
+    for sensor in next(iter(reports.values()))["scenes"]:
         head += [f"{sensor}: {COCO['map_50']}", COCO["map"]]
     return table(head, rows)
 

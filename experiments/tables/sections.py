@@ -34,6 +34,7 @@ from experiments.tables.texts import (
     FROM_PICTURES,
     INPUTS,
     INTRODUCTION,
+    LAYER_TIMES,
     LAYERS,
     MOTIONS,
     NETWORKS,
@@ -127,6 +128,18 @@ SECTIONS = (
                 "ratio to the incremental one"
             ),
             decisions.incremental_work: "Multiplications, memory, and a decision after every event",
+        },
+    ),
+    Section(
+        title="Where the time goes",
+        text=LAYER_TIMES,
+        command="experiments.layer_times --json experiments/results/layer_times.json",
+        tables={
+            decisions.layer_machine: "Machine",
+            decisions.layer_peak: "The core",
+            decisions.layer_times: (
+                "Microseconds / thousands of multiplications / share of the core's peak"
+            ),
         },
     ),
     Section(
@@ -427,12 +440,11 @@ SECTIONS = (
                 "Which objects have a box at the end of the scenes, by size, of all networks"
             ),
             scales.object_mistaken: "What is taken for what most often, 240x180",
-            scales.object_levels: (
-                "One level or two, in scenes of the tuning seed after 100 ms: `python -m "
-                "experiments.object_scales --out FOLDER --network "
-                "experiments/objects/one_level.py:one_level --json "
-                "experiments/results/object_scales_one_level_middles.json`, and `--network map "
-                "--json experiments/results/object_scales_one_level.json`"
+            scales.object_networks: (
+                "Which network, in scenes of the tuning seed after 100 ms: `python -m "
+                "experiments.object_scales --out FOLDER --network map --json "
+                "experiments/results/object_scales_map.json`. The last two rows are of networks "
+                "that commit bea187d8 could train"
             ),
             scales.object_curve: (
                 "The learning curve of the first network in scenes of the tuning seed, on 240x180 "
