@@ -98,7 +98,7 @@ def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_pa
     The pipeline that continues from the model computes the same.
     """
     config = CONFIG
-    if name in MAPS:  # the grid of the second one has sides that are multiples of 8
+    if name in MAPS:  # they read no transformed volume
         config = CONFIG.replace(transform="none", sensor=(24, 24), grid=(24, 24))
     pipeline = new_pipeline(config, 3, 0, windows, name if name in NETWORKS else f"{own}:{name}")
     optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)
