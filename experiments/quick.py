@@ -39,6 +39,7 @@ QUICK = {
     "found_paths": "--quick --nmnist {nmnist}",
     "from_pictures": "--quick --made --out {out}",
     "incremental": "--quick --json {out}/x.json",
+    "layer_times": "--quick --json {out}/x.json",
     "map_times": "--quick --json {out}/x.json",
     "memory": "--events 1_500_000",
     "moving_mnist": "--mnist {mnist} --out {out}/moving --digits 2 --nmnist {nmnist}",
