@@ -35,6 +35,10 @@ RIDGE = 0.03
 """The weight a, as a share of the mean variance of the components. From .001 to .1 it hardly
 matters."""
 
+LEAST_SPREAD = 1e-200
+"""The mean variance of the components up to which they say nothing, and a is 1. Features are
+float32, so the square of any but 0 is larger. Numbers below 1e-308 have too few bits to divide."""
+
 MARGIN = 8.0
 """The distance M if there are too few recordings to choose it."""
 
@@ -92,7 +96,7 @@ def row_of(
     both = mine + rest
     gram = both[np.ix_(phi, phi)]
     spread = np.trace(gram[:p, :p]) / p
-    gram[np.arange(p), np.arange(p)] += ridge * spread if spread > 0 else 1.0
+    gram[np.arange(p), np.arange(p)] += ridge * spread if spread > LEAST_SPREAD else 1.0
     targets = np.stack([both[phi, p], (mine - rest)[phi, -1]], axis=1)
     level, rise = np.linalg.solve(gram, targets).T
     return Row(level, rise)
