@@ -32,8 +32,9 @@ def multiply_and_add_plain(numbers, n):  # type: ignore[no-untyped-def]
     """
     for _ in range(n):
         for k in range(N_SUMS * LANES):
-            lane = N_SUMS * LANES + k % LANES
-            numbers[k] = fma(numbers[lane], numbers[lane + LANES], numbers[k])  # type: ignore[call-arg]
+            first = numbers[N_SUMS * LANES + k % LANES]
+            second = numbers[(N_SUMS + 1) * LANES + k % LANES]
+            numbers[k] = fma(first, second, numbers[k])  # type: ignore[call-arg]
 
 
 @vectorized(multiply_and_add_plain)
@@ -42,8 +43,10 @@ def multiply_and_add(simd: Any, numbers: Any, n: Any) -> None:
         simd.load(numbers, simd.mul(whole(k), LANES))  # the sums, then the two factors
         for k in range(N_SUMS + 2)
     ]
-    sums, factors = registers[:N_SUMS], registers[N_SUMS:]
-    sums = simd.loop(n, sums, lambda _, carried: [simd.fma(*factors, one) for one in carried])
+    factors = registers[N_SUMS:]
+    sums = simd.loop(
+        n, registers[:N_SUMS], lambda _, carried: [simd.fma(*factors, one) for one in carried]
+    )
     for k, total in enumerate(sums):
         simd.store(total, numbers, simd.mul(whole(k), LANES))
 

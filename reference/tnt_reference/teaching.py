@@ -52,7 +52,9 @@ def taught_row(
         lines.append(root * torch.cat([u[:, :p], ones], dim=1))
         targets.append(root * (u[:, p] + margin * y))
     spread = torch.cat(lines)[:, :p].square().sum() / p
-    a = ridge * spread if spread > 0 else torch.ones(())
+    # the square of any float32 but 0 is larger, and smaller numbers have too few bits to divide
+    says_something = spread > 1e-200
+    a = ridge * spread if says_something else torch.ones(())
     lines.append(torch.cat([a.sqrt() * torch.eye(p), torch.zeros(p, 1)], dim=1).double())
     targets.append(torch.zeros(p, dtype=torch.float64))
     column = torch.cat(targets)[:, None]

@@ -92,7 +92,7 @@ def whole_passes():
 
 
 def raw_outputs():
-    """Of two volumes in turn: each time all of the network is computed."""
+    """A call that reads two volumes in turn, so that it always computes the whole network."""
     network = CompiledNetwork(raw_model(LARGE_SENSOR))
     events = random_events(5_000, duration_us=9_000, sensor=LARGE_SENSOR.sensor)
     volumes = itertools.cycle([opened(LARGE_SENSOR, events), opened(LARGE_SENSOR, events)])

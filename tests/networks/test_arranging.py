@@ -270,13 +270,13 @@ def test_a_shuffle_by_hand():
     assert array[:, 0, 0].tolist() == [0, 2, 1, 3]
 
 
-@pytest.mark.parametrize("n, factor", [(1, 3), (2, 2), (5, 2), (7, 4)])
+@pytest.mark.parametrize("n, factor", [(1, 1), (1, 3), (3, 1), (2, 2), (5, 2), (7, 4)])
 def test_corners_lie_on_each_other(n, factor):
     taps = corner_taps(n, factor)
     assert np.allclose(taps.sum(2), 1) and (taps >= 0).all()
     # the place m - 1 + tap of the input has the coordinate of the output's place
     places = (taps * (np.arange(n)[:, None] - 1 + np.arange(3))).sum(2)
-    expected = np.arange(n * factor).reshape(n, factor).T * (n - 1) / (n * factor - 1)
+    expected = np.linspace(0, n - 1, n * factor).reshape(n, factor).T
     assert np.allclose(places, expected)
 
 

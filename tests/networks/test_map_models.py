@@ -736,6 +736,21 @@ def test_by_share_the_grid_has_as_many_cells_along_the_shorter_side(counting, se
     assert (model is counting) == (sensor == counting.config.sensor)
 
 
+@pytest.mark.parametrize(
+    "sensor, grid, wide",
+    [((48, 24), (44, 22), (48, 24)), ((40, 1), (40, 1), (8, 8)), ((1, 40), (1, 40), (8, 8))],
+    ids=str,
+)
+def test_by_share_any_grid_stays_for_its_own_sensor_and_serves_another(sensor, grid, wide):
+    """A grid may have been chosen by hand, or be a line."""
+    config = CONFIG.replace(
+        sensor=sensor, grid=grid, representation="count", bins=None, polarity="unsigned"
+    )
+    model = replace(Model.from_torch(nn.Conv2d(1, 2, 1), config, ["a"]), by_share=True)
+    assert model.for_sensor(sensor) is model
+    assert model.for_sensor((160, 80)).config.grid == wide
+
+
 def test_a_stream_through_a_model_by_share_has_the_bits_of_whole_maps(counting, tmp_path):
     path = counting.save(tmp_path / "m.safetensors")
     loaded = load_model(path)

@@ -69,7 +69,7 @@ def test_what_one_of_two_joined_maps_sees_reaches_on():
 
 
 def test_a_mean_has_multiplications_where_each_place_has_weights_of_its_own():
-    """Of 9 pixels in 2 channels; a plain mean is a sum."""
+    """There are 9 of them in 2 channels. A plain mean is a sum, and has none."""
     plain = Model.from_torch(nn.AvgPool2d(3), ON_PIXELS)
     adaptive = Model.from_torch(nn.AdaptiveAvgPool2d((5, 7)), ON_PIXELS)
     assert plain.output_shapes == adaptive.output_shapes == {"output": (2, 5, 7)}

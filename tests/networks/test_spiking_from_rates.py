@@ -264,8 +264,8 @@ def test_where_the_percentile_is_zero_the_largest_activation_stands_for_it():
     assert last_threshold(window, percentile=50) == 7.0
 
 
-def test_of_a_large_layer_evenly_spread_activations_are_read(monkeypatch):
-    """Of 64 at most 21: each fourth, from the first on."""
+def test_evenly_spread_activations_of_a_large_layer_are_read(monkeypatch):
+    """At most 21 of 64 are each fourth, from the first on."""
     monkeypatch.setattr(rate_conversion, "MOST_OF_A_WINDOW", 21)
     window = np.arange(1.0, 65.0).reshape(8, 8).astype(np.float32)
     assert last_threshold(window, percentile=100) == 61.0
@@ -277,7 +277,7 @@ def test_of_a_large_layer_evenly_spread_activations_are_read(monkeypatch):
     "layers", [[nn.ReLU(), conv(2, 3)], [nn.Flatten(), nn.ReLU(), dense(128, 3)]]
 )
 def test_a_relu_may_read_the_volume_itself(layers):
-    """Of a count of 1 there are 4 spikes, by a threshold of 1/4."""
+    """A count of 1 gives 4 spikes, by a threshold of 1/4."""
     model = positive_model(nn.Sequential(*layers))
     spiking = spiking_from_rates(model, ONE_WINDOW, spikes=4, percentile=100)
     first = next(layer for layer in spiking.layers if layer["op"] == "if")
@@ -285,7 +285,7 @@ def test_a_relu_may_read_the_volume_itself(layers):
 
 
 def test_names_that_a_network_has_already_are_no_obstacle():
-    """Of layers and of weights that the conversion adds."""
+    """They are names of layers and of weights that the conversion adds."""
     shape = {"kernel": [1, 1], "stride": [1, 1], "padding": [0] * 4, "dilation": [1, 1]}
     layers = []
     for name, source, weight in (

@@ -259,7 +259,7 @@ def test_the_confidence_closes_a_window():
 
 @pytest.mark.parametrize("ops", [("if",), ("if", "lif", "cuba_lif")], ids="+".join)
 def test_logits_are_spikes_or_membranes_as_they_are_then(ops):
-    """Of equal logits that of the largest membrane is decided for, of equal membranes the first.
+    """Where logits are equal, the largest membrane decides; where membranes are, the first class.
 
     It is so after each event, and in a window that has none yet, whose neurons go on.
     """

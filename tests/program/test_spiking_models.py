@@ -155,7 +155,7 @@ def test_info_lists_the_nodes_of_a_graph(program, graph):
 
 
 def test_info_lists_a_graph_with_a_circle_and_its_large_fields(program, tmp_path):
-    """Of more than four numbers, by shape; --json has all."""
+    """Fields of more than four numbers are given by their shape; --json has all numbers."""
     nir = pytest.importorskip("nir", reason="needs the extra `nir`")
     graph = nir.NIRGraph(
         {

@@ -49,7 +49,7 @@ def test_evidence_and_its_gradient(seed):
 
 
 def test_the_curvature_is_that_of_the_likelihood_about_the_images():
-    """Of sum |W c - W a X|^2 / 2 with the posterior means X, by differences, at the path."""
+    """It is compared with differences of sum |W c - W a X|^2 / 2, X the posterior means."""
     frames, path = made(3)
     band = MODEL.spectra(frames).reshape(len(frames), -1, K)
     _, _, curvature = MODEL.evidence(band, path)

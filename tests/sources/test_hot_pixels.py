@@ -120,7 +120,7 @@ def test_four_bright_pixels_of_the_block_around_explain_a_pixel(n_neighbours, is
 
 @pytest.mark.parametrize("sensor", [(4, 30), (30, 4), (3, 3), (2, 1)])
 def test_a_sensor_may_be_smaller_than_the_block(sensor):
-    """Of pixels that are too few to explain any, none is hot."""
+    """Where there are too few pixels to compare with, none is hot."""
     x, y = sensor[0] - 1, sensor[1] - 1
     packets = list(planted([(x, y)], 500))
     assert found(packets, sensor) == ({(x, y)} if sensor[0] * sensor[1] > 4 else set())

@@ -52,8 +52,9 @@ def corner_taps(n: int, factor: int) -> np.ndarray:
     """The weights of the inputs m - 1, m and m + 1 in the places of block m, along one axis.
 
     The corners of input and output lie on each other: place q of the output lies at
-    c = q (n - 1) / (factor n - 1) of the input. It is (1 - f) x_j + f x_(j+1), where j is the whole
-    part of c and f the rest. Place q = factor m + r is in block m, and m - 1 < c < m + 1.
+    c = q (n - 1) / (factor n - 1) of the input, and a single place at 0. It is
+    (1 - f) x_j + f x_(j+1), where j is the whole part of c and f the rest. Place q = factor m + r
+    is in block m, and m - 1 < c < m + 1.
 
     Returns
     -------
@@ -69,10 +70,11 @@ def corner_taps(n: int, factor: int) -> np.ndarray:
             [0., 3., 0.]]])
     """
     taps = np.zeros((factor, n, REACH))
+    last = max(1, factor * n - 1)
     for r in range(factor):
         for m in range(n):
-            whole, rest = divmod((factor * m + r) * (n - 1), factor * n - 1)
-            share = rest / (factor * n - 1)
+            whole, rest = divmod((factor * m + r) * (n - 1), last)
+            share = rest / last
             taps[r, m, whole - m + 1] += 1 - share
             if rest:
                 taps[r, m, whole - m + 2] += share

@@ -566,11 +566,11 @@ class Model:
 
     def _at_same_share(self, sensor: Sensor) -> Model:
         """The model for another sensor, see `for_sensor`, if this model is `by_share`."""
+        if sensor == self.config.sensor:
+            return self  # its grid may have other sides, which its user chose
         cells = min(self.config.grid) / min(sensor)
         grid = (in_grid_steps(cells * sensor[0]), in_grid_steps(cells * sensor[1]))
         config = self.config.replace(sensor=sensor, grid=grid)
-        if config == self.config:
-            return self
         pixels = [_pixels_a_cell(one) for one in (self.config, config)]
         layers, tensors = with_scaled_volume(
             CLASSIFIER,
@@ -710,7 +710,8 @@ def layers_of(model: Model, network: str) -> Sequence[Layer]:
 def _pixels_a_cell(config: TNTConfig) -> float:
     """The number of pixels in a cell of the grid, away from the border."""
     sides = zip(config.sensor, config.grid, strict=True)
-    return math.prod((side - 1) / (cells - 1) for side, cells in sides)
+    # a line of pixels has one cell across, and no other size of the grid
+    return math.prod(1.0 if side == cells else (side - 1) / (cells - 1) for side, cells in sides)
 
 
 # -- what a model has to be ------------------------------------------------------------------------
