@@ -128,6 +128,7 @@ def object_networks() -> str:
     reports = {
         "`boxes`": results("object_scales_tuning"),
         "`map`, which says no middles of boxes": results("object_scales_map"),
+        "as `boxes`, boxes weigh a tenth of classes": results("object_scales_a_tenth"),
         "as `boxes`, boxes weigh as much as classes": results("object_scales_equal_weights"),
         "two levels, boxes weigh as much as classes": results("object_scales_two_levels"),
     }

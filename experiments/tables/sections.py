@@ -443,8 +443,8 @@ SECTIONS = (
             scales.object_networks: (
                 "Which network, in scenes of the tuning seed after 100 ms: `python -m "
                 "experiments.object_scales --out FOLDER --network map --json "
-                "experiments/results/object_scales_map.json`. The last two rows are of networks "
-                "that commit bea187d8 could train"
+                "experiments/results/object_scales_map.json`. In `boxes` they weigh .3. The other "
+                "weights are those of commits 3fc848a7 and bea187d8; the latter had two levels"
             ),
             scales.object_curve: (
                 "The learning curve of the first network in scenes of the tuning seed, on 240x180 "
