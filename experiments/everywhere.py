@@ -2,10 +2,9 @@
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
                                      [--json FILE]
-    python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
-The third command writes the training data of the bundled `digits-everywhere`: N-MNIST's Train, and
+The second command writes the training data of the bundled `digits-everywhere`: N-MNIST's Train, and
 10,000 of MNIST's training images. The model is then made by `async-tnt train FOLDER --everywhere`.
 
 A scene has three recordings of one saccade each on a sensor of 128x96 pixels, or eight on 640x480.
@@ -20,9 +19,6 @@ out. Found objects are compared with the scene in order of their probability, th
 
 The report has the F1 score at 105 ms after the start of the first object, and at 30 ms after the
 start of the *last* one. It also has the number of objects that are found in a window of noise.
-
-With --cars, a scene has two recordings of N-CARS' test part on 304x240 pixels. Cars are to be
-found, within 15 pixels of their middles, and background is not.
 
 Of a model that says sizes, the report also has COCO's mean average precision at the end, over
 overlaps of .5 to .95, of .5 and of .75. The box of an object reaches from the 2nd to the 98th
@@ -44,7 +40,6 @@ from async_tnt.base.progress import progress
 from async_tnt.evaluation.box_scores import FoundBoxes
 from async_tnt.evaluation.object_tables import ObjectTable
 from async_tnt.kernels.decisions.objects import FOUND_SIZE
-from async_tnt.sources import open_recording
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import structured
 from experiments.pictures.symbols import write_mnist
@@ -71,6 +66,15 @@ NOISE_HZ = 0.3
 N_PICTURES = 10_000
 """Training images of MNIST that --write adds."""
 
+SIDE = 34
+"""Side of a recording, in pixels. Middles are at least half a side away from the border."""
+
+WITHIN = 5.0
+"""Largest distance, in pixels, at which an object counts as found."""
+
+WINDOW_US = 105_000
+"""Length of a window, in microseconds."""
+
 Truth = list[tuple[str, float, float, float, float]]
 """Class, middle (x, y), and width and height of the box, in pixels, of each object of a scene."""
 
@@ -85,12 +89,6 @@ class Kind(NamedTuple):
     apart: tuple[float, float] = (30.0, np.inf)
     """Least and largest distance, in pixels, from an object's middle to the nearest middle among
     the objects that were placed before."""
-    side: int = 34
-    """Side of a recording, in pixels. Middles are at least half a side away from the border."""
-    within: float = 5.0
-    """Largest distance, in pixels, at which an object counts as found."""
-    window_us: int = 105_000
-    """Length of a window, in microseconds."""
 
 
 DIGITS = {
@@ -101,29 +99,12 @@ DIGITS = {
 }
 """Name -> a kind of scenes of N-MNIST's digits."""
 
-CARS = {
-    "cars": Kind(
-        sensor=(304, 240),
-        n_objects=2,
-        apart=(90.0, np.inf),
-        side=100,
-        within=15.0,
-        window_us=100_000,
-    )
-}
-"""Name -> a kind of scenes of N-CARS' recordings."""
 
-NO_OBJECT = "background"
-"""The class of N-CARS that is no object."""
-
-
-def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarray:
-    """The events of a recording, from 0 us on. N-MNIST's recordings give one random saccade."""
-    if path.suffix != ".bin":
-        return open_recording(path).read()
+def one_window(path: Path, rng: np.random.Generator) -> np.ndarray:
+    """The events of one random saccade of a recording, from 0 us on."""
     events = read_nmnist(path)
-    first_us = int(rng.integers(3)) * window_us
-    events = events[(events["t"] >= first_us) & (events["t"] < first_us + window_us)]
+    first_us = int(rng.integers(3)) * WINDOW_US
+    events = events[(events["t"] >= first_us) & (events["t"] < first_us + WINDOW_US)]
     events["t"] -= first_us
     return events
 
@@ -133,7 +114,7 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
     sensor = np.array(kind.sensor)
     middles: list[np.ndarray] = []
     while len(middles) < len(files):
-        middle = rng.uniform(kind.side / 2, sensor - kind.side / 2)
+        middle = rng.uniform(SIDE / 2, sensor - SIDE / 2)
         distances = [float(np.hypot(*(middle - other))) for other in middles]
         nearest = min(distances, default=kind.apart[0])
         if kind.apart[0] <= nearest <= kind.apart[1]:
@@ -142,7 +123,7 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
     truth: Truth = []
     last_start_us = 0
     for path, middle in zip(files, middles, strict=True):
-        events = one_window(path, kind.window_us, rng)
+        events = one_window(path, rng)
         # the first object starts at 0
         start_us = int(rng.integers(LATEST_START_US)) if parts else 0
         sides = np.array([np.quantile(events[axis], (0.02, 0.98)) for axis in "xy"])
@@ -152,30 +133,28 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
         x = events["x"] + shift[0]
         y = events["y"] + shift[1]
         parts.append(on_sensor(t, x, y, events["p"], kind.sensor))
-        if path.parent.name != NO_OBJECT:
-            size = sides[:, 1] - sides[:, 0] + 1
-            truth.append((path.parent.name, *(centre + shift), *size))
+        size = sides[:, 1] - sides[:, 0] + 1
+        truth.append((path.parent.name, *(centre + shift), *size))
         last_start_us = max(last_start_us, start_us)
     parts.append(noise(kind, rng))
     events = np.concatenate(parts)
-    events = events[events["t"] < kind.window_us]
+    events = events[events["t"] < WINDOW_US]
     return events[np.argsort(events["t"], kind="stable")], truth, last_start_us
 
 
 def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
     """Events of noise, uniform over pixels and a window."""
-    n = rng.poisson(NOISE_HZ * kind.sensor[0] * kind.sensor[1] * kind.window_us / 1e6)
-    return structured(made_columns(rng, kind.sensor, n, kind.window_us))
+    n = rng.poisson(NOISE_HZ * kind.sensor[0] * kind.sensor[1] * WINDOW_US / 1e6)
+    return structured(made_columns(rng, kind.sensor, n, WINDOW_US))
 
 
-def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
+def counts(objects: Any, truth: Truth) -> np.ndarray:
     """Three numbers of objects: found objects that are right, found objects, objects in the scene.
 
-    A found object is right if an object of its class in the scene is at most `within` pixels away.
+    A found object is right if an object of its class in the scene is at most `WITHIN` pixels away.
     Each object in the scene makes at most one found object right.
     """
     not_found = list(truth)
-    objects = [found_object for found_object in objects if found_object.label != NO_OBJECT]
     for found_object in objects:
         distances = {}
         for true_object in not_found:
@@ -183,7 +162,7 @@ def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
             if label == found_object.label:
                 distances[true_object] = float(np.hypot(x - found_object.x, y - found_object.y))
         nearest = min(distances, key=lambda true_object: distances[true_object], default=None)
-        if nearest is not None and distances[nearest] <= within:
+        if nearest is not None and distances[nearest] <= WITHIN:
             not_found.remove(nearest)
     return np.array([len(truth) - len(not_found), len(objects), len(truth)])
 
@@ -209,12 +188,12 @@ def measure(
         processor.reset()
         n_early = int(np.searchsorted(events["t"], last_us + EARLY_US))
         processor.push(events[:n_early])
-        early_counts += counts(processor.fire().objects, truth, kind.within)
+        early_counts += counts(processor.fire().objects, truth)
         processor.push(events[n_early:])
         objects = processor.fire().objects
-        end_counts += counts(objects, truth, kind.within)
+        end_counts += counts(objects, truth)
         if model.has_sizes:
-            add_boxes(boxes, objects, truth, model.classes, kind.window_us)
+            add_boxes(boxes, objects, truth, model.classes)
     # F1 = 2 n_right / (n_found + n_in_scene), the three numbers of `counts`
     row = {
         "end": float(2 * end_counts[0] / end_counts[1:].sum()),
@@ -226,13 +205,11 @@ def measure(
     return row
 
 
-def add_boxes(
-    boxes: FoundBoxes, objects: Any, truth: Truth, classes: Sequence[str], t_us: int
-) -> None:
+def add_boxes(boxes: FoundBoxes, objects: Any, truth: Truth, classes: Sequence[str]) -> None:
     """Add the boxes of a scene, and those that were found, at its end."""
     numbers = np.array([true_object[1:] for true_object in truth], float).reshape(-1, 4)
     table = ObjectTable(
-        t=np.full(len(truth), t_us),
+        t=np.full(len(truth), WINDOW_US),
         label=np.array([classes.index(true_object[0]) for true_object in truth], np.int64),
         middle=numbers[:, :2],
         reach=numbers[:, 2:] / 2,
@@ -253,7 +230,7 @@ def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
     for _ in range(n):
         processor.reset()
         processor.push(noise(kind, rng))
-        n_found += counts(processor.fire().objects, [], 0.0)[1]
+        n_found += counts(processor.fire().objects, [])[1]
     return float(n_found / n)
 
 
@@ -273,48 +250,38 @@ def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Measure the report, print its tables, and write the files that are asked for."""
     parser = script_parser("everywhere", __doc__, "ten scenes")
-    parser.add_argument(
-        "models", nargs="*", metavar="MODEL", help="map models of ten digits, or of cars"
-    )
+    parser.add_argument("models", nargs="*", metavar="MODEL", help="map models of ten digits")
     parser.add_argument(
         "--write", type=Path, metavar="FOLDER", help="make the data of the bundled model there"
     )
     add_folder(parser, "--nmnist", "with Train and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     parser.add_argument(
-        "--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part"
+        "--part", choices=("Test", "Train"), default="Test", help="of N-MNIST (default: Test)"
     )
-    parser.add_argument("--part", choices=("Test", "Train"), help="of N-MNIST (default: Test)")
     add_count(parser, "--scenes", 330, "of three objects each; of other kinds as many objects")
     args = parser.parse_args(argv)
     if bool(args.models) == bool(args.write):
         parser.error("give models to test, or --write FOLDER")
-    if args.cars:
-        if args.part:
-            parser.error("--part is of N-MNIST: of N-CARS the test part is read")
-        part = args.cars / "n-cars_test"
-        kinds = CARS
-    else:
-        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-        part = nmnist / (args.part or "Test")
-        kinds = DIGITS
-        if args.write:
-            write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
-            return 0
-    files = sorted(path for path in part.glob("*/*") if path.suffix in (".bin", ".dat"))
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    if args.write:
+        write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
+        return 0
+    part = nmnist / args.part
+    files = sorted(part.glob("*/*.bin"))
     if not files:
-        parser.error(f"{part} has no recordings CLASS/NAME.bin or .dat")
+        parser.error(f"{part} has no recordings DIGIT/NAME.bin")
     n = 10 if args.quick else args.scenes
     rows = []
-    with progress(len(args.models) * (len(kinds) + 1), "scenes") as bar:
+    with progress(len(args.models) * (len(DIGITS) + 1), "scenes") as bar:
         for name in args.models:
             model = load_model(name)
             row: dict[str, Any] = {}
-            for kind_name, kind in kinds.items():
+            for kind_name, kind in DIGITS.items():
                 # each kind has as many objects as `n` scenes of three
                 row[kind_name] = measure(model, files, 3 * n, kind)
                 bar.update()
-            row["noise"] = objects_in_noise(model, next(iter(kinds.values())), n)
+            row["noise"] = objects_in_noise(model, DIGITS["three"], n)
             bar.update()
             rows.append(row)
             print(name, row)

@@ -9,7 +9,7 @@ import numpy as np
 
 from async_tnt.volume.config import LANDMARKS
 from experiments.tables.parts import about_machine, of_report, percent, results, short, table
-from experiments.thesis.numbers import cell, summary, with_range
+from experiments.thesis.numbers import cell, summary
 from experiments.thesis.numbers import short as three_digits
 from experiments.thesis.rows import IMAGES
 from experiments.thesis.table import recorded_table
@@ -303,37 +303,32 @@ SCENES = {
 """Kind of scenes of digits -> its title."""
 
 
+SCORES = {
+    "end": "F1 at the end",
+    "early": "30 ms after the last start",
+    "map": "mAP",
+    "map_50": "mAP .5",
+    "map_75": "mAP .75",
+}
+"""Score of a model in scenes of digits -> its title. Models without sizes have the first two."""
+
+
 def everywhere() -> str:
-    """A table of F1 in scenes of real recordings, for the bundled map model and for all models."""
-    models = results("everywhere")["models"]
-    rows = []
-    for kind, title in SCENES.items():
-        row = [title]
-        for moment in ("end", "early"):
-            f1 = [model[kind][moment] for model in models]
-            row += [three_digits(f1[0]), with_range(f1)]
-        rows.append(row)
-    every = f"{len(models)} networks"
-    return table(["digits", "F1 at the end", every, "30 ms after the last start", every], rows)
+    """A table of F1 of the bundled map model, in scenes of real recordings."""
+    return _scenes("everywhere")
 
 
 def box_scenes() -> str:
     """A table of F1 and COCO's scores of a model with boxes, in scenes of real recordings."""
-    (model,) = results("box_scenes")["models"]
-    rows = []
-    for kind, title in SCENES.items():
-        scores = [model[kind][name] for name in ("end", "early", "map", "map_50", "map_75")]
-        rows.append([title, *(f"{score:.3f}" for score in scores)])
-    head = ["digits", "F1 at the end", "30 ms after the last start", "mAP", "mAP .5", "mAP .75"]
-    return table(head, rows)
+    return _scenes("box_scenes")
 
 
-def car_scenes() -> str:
-    """A table of F1 of a map model of N-CARS, in scenes of its test part."""
-    (model,) = results("car_scenes")["models"]
-    row = [f"{model['cars'][moment]:.3f}" for moment in ("end", "early")] + [
-        f"{model['noise']:.2f}"
+def _scenes(name: str) -> str:
+    """A table of the scores of the only model in the result `name`."""
+    (model,) = results(name)["models"]
+    scores = [score for score in SCORES if score in model["three"]]
+    rows = [
+        [title, *(f"{model[kind][score]:.3f}" for score in scores)]
+        for kind, title in SCENES.items()
     ]
-    return table(
-        ["F1 of cars at the end", "30 ms after the last start", "objects in noise, a window"], [row]
-    )
+    return table(["digits", *(SCORES[score] for score in scores)], rows)

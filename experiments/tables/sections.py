@@ -404,8 +404,7 @@ SECTIONS = (
         title="Several objects on a large sensor",
         text=EVERYWHERE,
         command=(
-            "experiments.everywhere digits-everywhere MODEL ... --json "
-            "experiments/results/everywhere.json"
+            "experiments.everywhere digits-everywhere --json experiments/results/everywhere.json"
         ),
         tables={
             datasets.everywhere: "Real digits in scenes",
@@ -413,7 +412,6 @@ SECTIONS = (
                 "Real digits in scenes, by a model with boxes: `python -m experiments.everywhere "
                 "boxes0.safetensors --json experiments/results/box_scenes.json`"
             ),
-            datasets.car_scenes: "Cars",
             streams.map_times: (
                 "From events to objects, `push` and `fire`, beside the whole map, after three "
                 "digits, medians and 99th percentiles: `python -m experiments.map_times --json "

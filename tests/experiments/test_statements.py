@@ -114,7 +114,7 @@ def test_resynthesis_closes_most_of_the_gap_where_events_are_few():
 
 
 def test_objects_on_a_large_sensor_are_found():
-    bundled, *others = results("everywhere")["models"]
+    (bundled,) = results("everywhere")["models"]
     rows = {
         ("three", "end"): "| three digits on 128x96 pixels, at the window's end | # |",
         ("three", "early"): "| the same, 30 ms after the last digit begins | # |",
@@ -124,13 +124,8 @@ def test_objects_on_a_large_sensor_are_found():
     }
     for (kind, moment), row in rows.items():
         assert said(row) == [round(bundled[kind][moment], 3)], row
-    said("Networks of other seeds are no worse.")
-    for other in others:
-        assert all(other[kind][moment] >= bundled[kind][moment] for kind, moment in rows)
     said("| noise alone | finds nothing |")
-    assert {model["noise"] for model in (bundled, *others)} == {0}
-    f1 = results("car_scenes")["models"][0]["cars"]["end"]
-    assert said("finds cars with an F1 of #.") == [round(f1, 3)]
+    assert bundled["noise"] == 0
 
 
 def test_a_map_is_updated_in_time():
