@@ -69,6 +69,12 @@ def read_numbers(path: Path) -> dict[str, Any]:
     return {name: _numbers(result) for name, result in content.items()}
 
 
+def read_runs(path: Path) -> list[dict[str, Any]]:
+    """The runs that made a file of results, or the files in a folder; one for each result."""
+    paths = sorted(path.glob("*.json")) if path.is_dir() else [path]
+    return [result["run"] for one in paths for _, result in _named_results(one)]
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a file. If the file is damaged, the ValueError names it."""
     try:

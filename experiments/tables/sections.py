@@ -20,6 +20,7 @@ from experiments.tables import (
     teaching,
     thesis,
 )
+from experiments.tables.runs import about_runs
 from experiments.tables.texts import (
     BOX_COST,
     CARS,
@@ -40,6 +41,7 @@ from experiments.tables.texts import (
     NETWORKS,
     NOTHING,
     OBJECT_SCALES,
+    OTHER_PAGES,
     PATHS,
     PIXEL_OUTPUTS,
     RECIPE,
@@ -73,6 +75,7 @@ class Section:
     command : command that measures them again, without `python -m`; "" if there is none.
     picture : name of a picture in docs/images; "" if there is none.
     tables : function that makes a table -> what the table shows.
+    results : names of the files or folders in experiments/results that the tables are made of.
     """
 
     title: str
@@ -80,6 +83,7 @@ class Section:
     command: str = ""
     picture: str = ""
     tables: dict[Table, str] = field(default_factory=dict)
+    results: tuple[str, ...] = ()
 
 
 SECTIONS = (
@@ -103,6 +107,7 @@ SECTIONS = (
                 "A decision after every event, recordings in packets of 1,000 events"
             ),
         },
+        results=("decisions",),
     ),
     Section(
         title="Starts",
@@ -112,6 +117,7 @@ SECTIONS = (
             decisions.starts_machine: "Machine",
             decisions.starts: "Seconds, medians of five",
         },
+        results=("starts",),
     ),
     Section(
         title="Four networks",
@@ -129,6 +135,7 @@ SECTIONS = (
             ),
             decisions.incremental_work: "Multiplications, memory, and a decision after every event",
         },
+        results=("incremental",),
     ),
     Section(
         title="Where the time goes",
@@ -141,6 +148,7 @@ SECTIONS = (
                 "Microseconds / thousands of multiplications / share of the core's peak"
             ),
         },
+        results=("layer_times",),
     ),
     Section(
         title="Published networks",
@@ -151,12 +159,14 @@ SECTIONS = (
             published.zoo_accepted: "Accepted from torch",
             published.zoo_refused: "Refused, and why",
         },
+        results=("zoo",),
     ),
     Section(
         title="Flow at every pixel",
         text=PIXEL_OUTPUTS,
         command="experiments.pixel_outputs --json experiments/results/pixel_outputs.json",
         tables={published.pixel_outputs: "By the size of the sensor"},
+        results=("pixel_outputs",),
     ),
     Section(
         title="Events into a volume",
@@ -165,6 +175,7 @@ SECTIONS = (
         tables={
             streams.volumes: "By the size of a packet",
         },
+        results=("bench",),
     ),
     Section(
         title="Memory",
@@ -172,6 +183,7 @@ SECTIONS = (
         tables={
             streams.memory: "Growth of a long stream",
         },
+        results=("memory",),
     ),
     Section(
         title="Cars",
@@ -189,6 +201,7 @@ SECTIONS = (
                 "that do not reach it are decided at their ends"
             ),
         },
+        results=("cars",),
     ),
     Section(
         title="Without options",
@@ -200,6 +213,7 @@ SECTIONS = (
         tables={
             datasets.bare: "Test parts, mean and standard deviation over seeds",
         },
+        results=("bare",),
     ),
     Section(
         title="Which default",
@@ -211,6 +225,7 @@ SECTIONS = (
         tables={
             datasets.recipes: "Held-out windows right at their ends / in the mean over ten moments",
         },
+        results=("recipes",),
     ),
     Section(
         title="Which input",
@@ -222,6 +237,7 @@ SECTIONS = (
         tables={
             datasets.representations: "Accuracy and costs, by input",
         },
+        results=("thesis", "cars"),
     ),
     Section(
         title="Early decisions",
@@ -230,6 +246,7 @@ SECTIONS = (
         tables={
             accuracy.early: "By time, and by confidence",
         },
+        results=("early",),
     ),
     Section(
         title="Where nothing is",
@@ -241,6 +258,7 @@ SECTIONS = (
         tables={
             accuracy.nothing: "Share of windows in which a class has .9 at their ends",
         },
+        results=("nothing",),
     ),
     Section(
         title="The model digits",
@@ -286,6 +304,7 @@ SECTIONS = (
             differences.conclusions: "All that hold",
             thesis.against_time: "Unseen motions, by the time since a window's start",
         },
+        results=("thesis",),
     ),
     Section(
         title="Layers and flow",
@@ -294,6 +313,7 @@ SECTIONS = (
         tables={
             thesis.equivariance: "By input, layer and pixels per window",
         },
+        results=("equivariance",),
     ),
     Section(
         title="Missing edges and polarity",
@@ -307,6 +327,7 @@ SECTIONS = (
             ),
             accuracy.polarity: "Correlation of two saccades' images over pixels",
         },
+        results=("edges",),
     ),
     Section(
         title="Re-synthesized motions",
@@ -320,6 +341,7 @@ SECTIONS = (
             thesis.controls: "Beside the best of the cheap ways",
             thesis.resynthesis_match: "How well the recorded motion is matched",
         },
+        results=("thesis",),
     ),
     Section(
         title="Few events, in motions that were not recorded",
@@ -343,6 +365,7 @@ SECTIONS = (
                 "seen"
             ),
         },
+        results=("unseen_saccades", "unseen_whole", "unseen_hands", "unseen_volumes"),
     ),
     Section(
         title="Paths that are found",
@@ -353,6 +376,7 @@ SECTIONS = (
         tables={
             accuracy.found_paths: "Windows with a path that is relied on",
         },
+        results=("found_paths",),
     ),
     Section(
         title="Pictures alone",
@@ -367,6 +391,7 @@ SECTIONS = (
                 "N-MNIST's networks on simulated test images, in motions and speeds of their own"
             ),
         },
+        results=("from_pictures",),
     ),
     Section(
         title="Pictures and few recordings",
@@ -379,6 +404,7 @@ SECTIONS = (
         tables={
             datasets.few_recordings: "Windows and recordings right",
         },
+        results=("few_recordings",),
     ),
     Section(
         title="A class from a few recordings",
@@ -399,6 +425,7 @@ SECTIONS = (
                 "windows of the new class / of old classes"
             ),
         },
+        results=("teaching",),
     ),
     Section(
         title="Several objects on a large sensor",
@@ -423,6 +450,7 @@ SECTIONS = (
             ),
             streams.map_machine: "Machine",
         },
+        results=("everywhere", "box_scenes", "map_times"),
     ),
     Section(
         title="Objects of many sizes",
@@ -454,6 +482,15 @@ SECTIONS = (
                 "experiments.box_cost MODEL --json experiments/results/box_cost_scales.json`"
             ),
         },
+        results=(
+            "object_scales",
+            "object_scales_tuning",
+            "object_scales_map",
+            "object_scales_a_tenth",
+            "object_scales_equal_weights",
+            "object_scales_two_levels",
+            "box_cost_scales",
+        ),
     ),
     Section(
         title="Optical flow",
@@ -473,6 +510,7 @@ SECTIONS = (
             flow.flow_times: "From an event to the flow on 346x260",
             flow.flow_machine: "Machine",
         },
+        results=("flow",),
     ),
     Section(
         title="Boxes beside points",
@@ -481,6 +519,7 @@ SECTIONS = (
         tables={
             decisions.box_cost: "A decision after one event",
         },
+        results=("box_cost",),
     ),
     Section(
         title="Windows that slide",
@@ -491,6 +530,7 @@ SECTIONS = (
             sliding.sliding_decisions: "A decision after every event, RoShamBo's network",
             sliding.sliding_machine: "Machine",
         },
+        results=("sliding",),
     ),
     Section(
         title="Training on windows that slide",
@@ -503,6 +543,7 @@ SECTIONS = (
         tables={
             sliding_curves.sliding_training: "Accuracy against the time since the first event",
         },
+        results=("sliding_training",),
     ),
     Section(
         title="Spiking networks",
@@ -528,6 +569,7 @@ SECTIONS = (
             ),
             spiking.spiking_first_kernel: "An event beside the first plain kernel, by turns",
         },
+        results=("spiking", "spiking_first_kernel"),
     ),
     Section(
         title="Two threads",
@@ -537,6 +579,7 @@ SECTIONS = (
             streams.threads: "How much faster",
             streams.threads_machine: "Machine",
         },
+        results=("threads",),
     ),
     Section(
         title="What a machine sustains",
@@ -545,6 +588,7 @@ SECTIONS = (
         tables={
             streams.sustained: "Delays under load",
         },
+        results=("sustained",),
     ),
     Section(
         title="Simulated and real recordings",
@@ -556,6 +600,7 @@ SECTIONS = (
         tables={
             datasets.simulated: "Means of a saccade",
         },
+        results=("simulated",),
     ),
     Section(
         title="Network",
@@ -566,6 +611,12 @@ SECTIONS = (
             streams.udp_latency: "Latency",
             streams.udp_load: "A million events a second for a minute, a decision every 5 ms",
         },
+        results=("network",),
+    ),
+    Section(
+        title="Results on other pages",
+        text=OTHER_PAGES,
+        results=("official_at_hand", "published_weights", "fit_pixels", "same_bits"),
     ),
 )
 """The sections of RESULTS.md, in order."""
@@ -584,4 +635,6 @@ def page() -> str:
             parts.append(f"![{section.title}](../docs/images/{section.picture}.png)")
         for table, caption in section.tables.items():
             parts += [f"**{caption}**", table()]
+        if section.results:
+            parts += ["**Runs**", about_runs(section.results)]
     return "\n\n".join(parts) + "\n"

@@ -341,3 +341,9 @@ UDP = """\
 Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency from just before
 `send`; the plain socket's time is the system's. Delays count from the time an event was due at
 the sender."""
+
+OTHER_PAGES = """\
+[The page of results](../docs/results.md#pictures-alone) shows what `python -m
+experiments.official_test --at-hand` and `python -m experiments.published_weights WEIGHTS` measure,
+[the theory](../docs/theory.md#what-came-from-recordings) what `python -m experiments.fit_pixels` and
+`python -m experiments.same_bits` do."""

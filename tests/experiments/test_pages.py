@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
 
 from experiments import pages
-from experiments.tables import differences
+from experiments.records import files
+from experiments.tables import differences, parts, runs, sections
 from experiments.tables.parts import RESULTS
 from experiments.thesis.numbers import signed
 from experiments.thesis.rows import QUESTIONS, ROWS
@@ -21,6 +23,42 @@ def test_the_pages_show_the_results(capsys):
     assert len(shown) == len(set(shown))
     assert {make.__name__ for make in pages.SHORT} <= set(shown)
     assert all(make() in everything for make in pages.TABLES.values() if make not in pages.SHORT)
+
+
+def test_every_result_is_on_the_page_with_its_run(monkeypatch):
+    read = []
+
+    def read_numbers(path):
+        read.append(path.stem)
+        return files.read_numbers(path)
+
+    monkeypatch.setattr(parts, "read_numbers", read_numbers)
+    for section in sections.SECTIONS:
+        read.clear()
+        for make in section.tables:
+            make()
+        # the files in the folder of the thesis' table are read once for all sections
+        shown = set(section.results if section.tables else ()) - {"thesis"}
+        assert set(read) == shown, section.title
+    named = {name for section in sections.SECTIONS for name in section.results}
+    assert named == {path.stem for path in RESULTS.glob("*.json")} | {"thesis"}
+
+
+def test_runs_of_the_same_code_are_one_line(monkeypatch, tmp_path):
+    monkeypatch.setattr(runs, "RESULTS", tmp_path)
+    machine = {"cpu": "Z80", "cores": 1, "load_1min": 0.25}
+    run = {"version": "1.0", "commit": "c0ffee0123", "date": "2026-01-02 03:04", "machine": machine}
+    busy = {**run, "date": "2026-01-05 00:00", "machine": {**machine, "load_1min": 3.0}}
+    older = {**run, "version": "0.9", "note": "from the history"}
+    made = {"a": run, "b": older, "c": busy}
+    content = {name: {"run": made[name], "numbers": {}, "sha256": ""} for name in made}
+    (tmp_path / "speeds.json").write_text(json.dumps(content), encoding="utf-8")
+    assert runs.about_runs(["speeds"]).splitlines() == [
+        "- `speeds`, 1 of 3: version 0.9, commit c0ffee01; 2026-01-02; Z80, load 0.2 of 1 cores; "
+        "commit and day are those with which the numbers were committed.",
+        "- `speeds`, 2 of 3: version 1.0, commit c0ffee01; 2026-01-02 to 2026-01-05; "
+        "Z80, load 0.2 to 3.0 of 1 cores.",
+    ]
 
 
 def test_recorded_results_name_the_processor_and_no_path():
