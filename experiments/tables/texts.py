@@ -344,6 +344,6 @@ the sender."""
 
 OTHER_PAGES = """\
 [The page of results](../docs/results.md#pictures-alone) shows what `python -m
-experiments.official_test --at-hand` and `python -m experiments.published_weights WEIGHTS` measure,
-[the theory](../docs/theory.md#what-came-from-recordings) what `python -m experiments.fit_pixels` and
-`python -m experiments.same_bits` do."""
+experiments.official_test --at-hand` and `python -m experiments.published_weights WEIGHTS` measure.
+[The theory](../docs/theory.md#what-came-from-recordings) shows what `python -m
+experiments.fit_pixels` and `python -m experiments.same_bits` do."""
