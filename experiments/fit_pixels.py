@@ -6,8 +6,8 @@
 `Scene` and `PixelModel` have constants that were fitted to N-MNIST. The program of that fit was not
 kept. This command compares constants with recordings again. It reads the official training
 recordings with the lowest numbers, at most number 1,000, and no test recording. It simulates the
-images that they show in N-MNIST's own motion: with the present constants, and with each constant a
-fifth smaller and larger. All simulations have the same random numbers.
+images that they show in N-MNIST's own motion: with the present constants, and with each of eight
+constants divided and multiplied by 1.2. All simulations have the same random numbers.
 
 The report has the same statistics for the recordings and for each simulation, and the deviation of
 each simulation. The deviation is the mean, over the statistics, of |log(simulated / recorded)|.

@@ -8,7 +8,11 @@ bundled model has a digest of its logits. --check compares the digests with the 
 and exits with 1 if one differs.
 
 Kernels state the order in which they add, so the length of a processor's vectors does not matter.
-Compared so far are x86-64 with AVX2 and with AVX-512, and arm64 under emulation.
+On a processor with AVX-512, the code for processors that have AVX2 only is compared by
+
+    NUMBA_CPU_NAME=x86-64-v3 \\
+    NUMBA_CPU_FEATURES=+avx,+avx2,+bmi,+bmi2,+f16c,+fma,+lzcnt,+movbe,+popcnt \\
+    python -m experiments.same_bits --check
 """
 
 from __future__ import annotations

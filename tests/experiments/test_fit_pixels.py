@@ -67,7 +67,7 @@ def test_the_table_of_the_theory_has_the_recorded_deviations():
     # the present constants come first, and then two changes of each constant
     pairs = [(shown[0], shown[0]), *zip(shown[1::2], shown[2::2], strict=True)]
     page = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
-    table = page.split("| constant | a fifth smaller | a fifth larger |\n|---|---|---|\n")[1]
+    table = page.split("| constant | divided by 1.2 | times 1.2 |\n|---|---|---|\n")[1]
     rows = [line.split(" | ") for line in table.split("\n\n")[0].splitlines()]
     assert [(smaller, larger.removesuffix(" |")) for _, smaller, larger in rows] == pairs
 

@@ -229,6 +229,8 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, ca
     assert (tmp_path / "laws.png").stat().st_size > 10_000
     border = next(line for line in printed if line[:1].isdigit())
     assert f"> {border}\n" in THEORY
+    lost = next(line for line in printed if line.startswith("Of the events that are lost"))
+    assert lost in " ".join(THEORY.split())
 
 
 def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):

@@ -449,8 +449,10 @@ class Model:
     def without_class(self, name: str) -> Model:
         """The model without a class: a taught one, or one that the network was trained on.
 
-        Forgetting what was taught gives the model from before, bit for bit. The logit of a class
-        that the network was trained on is still computed, but left out.
+        Forgetting the class that was taught last gives the model from before, bit for bit. Classes
+        that were taught after `name` keep the scale of their logits, which was chosen while `name`
+        was known. The logit of a class that the network was trained on is still computed, but left
+        out.
 
         Raises
         ------

@@ -12,8 +12,10 @@ windows that show no class) have equal shares of the rest. So with G = sum w_c E
 
     r = (G + a I_x)^-1 (sum w_c E_c[phi s] + M sum w_c E_c[phi] y)
 
-which needs the moments of u = (x, s) only. The logits z of the trained classes stay as they are,
-and the row of one taught class does not depend on the row of another.
+which needs the moments of u = (x, s) only. The logits z of the trained classes stay as they are.
+The row of a taught class depends on the moments of all other classes, taught ones included, but not
+on their rows. Its M is chosen against the classes that are known when the class is taught, and then
+kept, so M depends on the order in which classes are taught.
 """
 
 from __future__ import annotations
