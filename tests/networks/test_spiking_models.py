@@ -101,6 +101,10 @@ def with_current(**values):
         (lambda: integrate("subtract", [0.0, 1.0]), "v_threshold must be positive with the reset"),
         (lambda: integrate("subtract", v_reset=[0.0, -1.0]), "v_reset must be 0 with the reset"),
         (lambda: integrate("value", v_reset=[2.0, 0.0]), "v_reset must not be above v_threshold"),
+        (
+            lambda: integrate("value", [-0.5, 1.0], v_reset=[-1.0, 0.0]),
+            "its rest, 0, must not be above v_threshold",
+        ),
         (lambda: integrate("value", [np.inf, 1.0]), "`out.v_threshold` must be finite numbers"),
         (lambda: integrate("never"), "`reset` must be one of subtract, value, got 'never'"),
         (lambda: leaky(tau=[0.0, 1.0]), "tau must be positive, got 0"),

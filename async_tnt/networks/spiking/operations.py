@@ -182,8 +182,10 @@ def _check_layer(layer: Layer, tensors: Mapping[str, np.ndarray]) -> None:
             )
         if reset_to.any():
             raise ValueError(f"v_reset must be 0 with the reset {SUBTRACT!r}")
-    for role, value in (("v_reset", reset_to), ("v_leak", tensors.get("v_leak"))):
-        if value is not None and (value > threshold).any():
+    # neurons without a leak begin at 0
+    begin = ("v_leak", tensors["v_leak"]) if "v_leak" in tensors else ("its rest, 0,", np.zeros(1))
+    for name, value in (("v_reset", reset_to), begin):
+        if (value > threshold).any():
             raise ValueError(
-                f"{role} must not be above v_threshold, as the neuron would fire without input"
+                f"{name} must not be above v_threshold, as the neuron would fire without input"
             )
