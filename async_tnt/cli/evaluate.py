@@ -58,8 +58,8 @@ table, the model sees the window that ends there. An object of the table is foun
 model sees its class within 5 pixels of its point, or within the ellipse that touches
 the sides of its box. If the model says sizes, and with the extra `boxes`, the report
 also has COCO's mean average precision (mAP): the mean over overlaps of .5 to .95, at .5,
-at .75, and by the boxes' areas. Scores are given after 10, 30, 50 and 100 ms of a window,
-as far as it is longer, and at its end. --boxes says which boxes count in all of them:
+at .75, and by the boxes' areas. Scores are given after 10, 30, 50 and 100 ms of windows
+that are longer, and at their ends. --boxes says which boxes count in all of them:
 
   all    every box and point, at every time of the tables
   gen1   those after the first half second, with sides of at least 10 pixels and a

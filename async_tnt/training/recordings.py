@@ -213,8 +213,11 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
         Raises
         ------
+        ValueError : they have boxes.
         OSError : the disk is full.
         """
+        if recordings.boxes is not None:
+            raise ValueError("recordings with boxes cannot be added")
         with naming(self._folder):
             for field in COLUMNS:
                 column = getattr(recordings, field)

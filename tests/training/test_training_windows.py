@@ -114,6 +114,15 @@ def test_recordings_with_boxes_or_outlines_are_not_added(known, sides):
         first + second
 
 
+def test_recordings_with_boxes_are_not_appended():
+    plain = Recordings.from_events([recording([1])], [0])
+    with RecordingsWriter() as writer:
+        with pytest.raises(ValueError, match="^recordings with boxes cannot be added$"):
+            writer.extend(replace(plain, boxes=np.zeros(1, BOX_DTYPE)))
+        writer.extend(plain)
+        assert len(writer.finish()) == 1
+
+
 def test_boxes_are_those_of_each_recording_that_is_asked_for():
     boxes = np.zeros(5, BOX_DTYPE)
     boxes["recording"] = [0, 0, 2, 2, 2]
