@@ -117,7 +117,7 @@ def test_recordings_with_boxes_or_outlines_are_not_added(known, sides):
 def test_recordings_with_boxes_are_not_appended():
     plain = Recordings.from_events([recording([1])], [0])
     with RecordingsWriter() as writer:
-        with pytest.raises(ValueError, match="^recordings with boxes cannot be added$"):
+        with pytest.raises(ValueError, match=r"^recordings with boxes cannot be added$"):
             writer.extend(replace(plain, boxes=np.zeros(1, BOX_DTYPE)))
         writer.extend(plain)
         assert len(writer.finish()) == 1
