@@ -180,7 +180,7 @@ def test_resynthesis_closes_most_of_the_gap_where_events_are_few():
     across = share_closed(results("unseen_hands")["accuracy"])["perpendicular"]
     assert said("across the recorded direction the share is #.") == [round(across, 2)]
     whole = results("unseen_whole")["accuracy"]["resynthesized"]
-    assert said("--motions resynthesized` reaches # in 1/all and # in 1/sim.") == [
+    assert said("--motions resynthesized` reached # in 1/all and # in 1/sim (version 0.2.0).") == [
         round(whole[test]["mean"], 3) for test in ("all saccades", "simulated motions")
     ]
 
