@@ -5,7 +5,10 @@
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
 The second command writes the training data of the bundled `digits-everywhere`: N-MNIST's Train, and
-10,000 of MNIST's training images. The model is then made by `async-tnt train FOLDER --everywhere`.
+10,000 of MNIST's training images. The model is then made by
+
+    async-tnt train FOLDER --everywhere --sensor 34x34 --size 0.5-0.7 --window-us 105000
+        --volume representation=volume,bins=2,polarity=split,transform=none --epochs 34
 
 A scene has three recordings of one saccade each on a sensor of 128x96 pixels, or eight on 640x480.
 The recordings stand anywhere, moved by whole pixels. They begin within 50 ms of each other, and are

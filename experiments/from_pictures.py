@@ -17,9 +17,11 @@ characters  Training: ten digits and 26 letters, drawn with fonts. Test: both pa
 made        Training: ten pictures of each of six objects, with backgrounds. Test: made recordings
             of other objects of these kinds (`pictures/made.py`).
 
-Each network is trained by `async-tnt train PICTURES` with the options that its row states, and
-reads the recordings once. Finished trainings in --out are kept, and interrupted trainings resume.
-FILE keeps the entries of sets that this run does not measure.
+The networks of nmnist and made are trained by `async-tnt train PICTURES` with the options that
+their rows state. Those of poker and characters are trained in the same way, but with a simulated
+sensor that follows the object. Each network reads the recordings once. Finished trainings in --out
+are kept, and interrupted trainings resume. FILE keeps the entries of sets that this run does not
+measure.
 """
 
 from __future__ import annotations

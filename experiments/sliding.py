@@ -2,16 +2,17 @@
 
     python -m experiments.sliding [--quick] [--json FILE]
 
-Events into volumes: packets of 1,300 events into an image of counts on three sensors, by turns: a
-window that grows, the last 5,000 events, the last 30 ms, and these in five slices.
+Events into volumes: packets of 1,300 events on three sensors, by turns. Images of counts: a window
+that grows, the last 5,000 events, the last 30 ms. Five bins: a window that grows, and the last 30
+ms in five slices.
 
 Decisions after every event: the network of RoShamBo (Lungu et al. 2017) with random weights, on an
 image of counts of 64x64 pixels, with about 5,000 events in the window. Where a window slides, two
 places change at each decision: an event comes, and one leaves. So a growing window with two new
 events a decision is measured, too. `window_events` computes its image again from all events, and
-the whole network. The multiplications that the changed pixels reach are counted. It is verified
-that each sliding image holds exactly the last events, and that each decision has the bits of the
-whole network.
+the whole network. The multiplications that the changed pixels reach are counted. In the window of
+the last events it is verified that each image holds exactly these, and that each decision has the
+bits of the whole network.
 """
 
 from __future__ import annotations
@@ -208,7 +209,7 @@ def decision_times(n_decisions: int) -> dict[str, Any]:
             names = list(processors) if k % 2 else list(reversed(processors))
             for name in names:
                 if name.startswith("window_events") and k % 10:
-                    continue  # it takes a hundred times as long
+                    continue  # it takes several times as long
                 first = pushed[name]
                 pushed[name] += new[name]
                 processor = processors[name]

@@ -2,8 +2,10 @@
 
     python -m experiments.starts [--quick] [--json FILE]
 
-Our program starts with an empty and with a full cache of compiled code. It is compared with
-programs of onnxruntime and torch, if these are installed.
+Our program starts with an empty and with a full cache of compiled code. With an empty cache it
+takes the code in `async_tnt/kernels/compiled`, which `python -m async_tnt.kernels.ship` writes;
+without it, everything is compiled. The program is compared with programs of onnxruntime and torch,
+if these are installed.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ PACKAGES = ("torch", "onnx", "onnxruntime")
 """Packages whose versions the report names."""
 
 WORK = {
-    "ours_cold": "ours, with an empty NUMBA_CACHE_DIR: everything is compiled",
+    "ours_cold": "ours, with an empty NUMBA_CACHE_DIR",
     "ours_warm": "ours, with a full one",
     "onnxruntime": "onnxruntime: import, a session of the exported network, its first answer",
     "torch": "torch: import, the same network from the model's file, its first answer",

@@ -150,7 +150,9 @@ def print_tables(report: dict[str, Any], name: str) -> None:
         for table, caption in section.tables.items():
             if REPORT_OF.get(table) == name:
                 make: Table = table
-                print(f"{caption}\n\n{make(report)}\n")
+                text = make(report)
+                if text:
+                    print(f"{caption}\n\n{text}\n")
     for key, words in (("work", "What each row does"), ("left_out", "Left out")):
         rows = dict(_leaves(report.get(key, {})))
         if rows:

@@ -10,7 +10,7 @@ PUBLISHED = {
     "Spyx": 0.971,
     "Speck": 0.954,
 }
-"""Platform -> accuracy in the NIR paper, on the official test, in time bins.
+"""Platform -> accuracy in the NIR paper, on the official test.
 
 Pedersen et al. 2024, Neuromorphic intermediate representation: A unified instruction set for
 interoperable brain-inspired computing, Nature Communications 15, 8122, table of the N-MNIST

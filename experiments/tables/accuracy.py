@@ -190,29 +190,44 @@ def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
 def _unseen(report: dict[str, Any]) -> str:
     """A table of accuracies, with a row for each way to train and a column for each test.
 
-    Cells have the mean over the seeds, and the range if there are several seeds.
+    Cells have the mean over the networks, and the range if there are several networks.
     """
     accuracy = report["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [
-        [mode, *(with_range(results_by_test[test]["seeds"]) for test in tests)]
+        [
+            mode,
+            str(len(results_by_test[tests[0]]["seeds"])),
+            *(with_range(results_by_test[test]["seeds"]) for test in tests),
+        ]
         for mode, results_by_test in accuracy.items()
     ]
     closed = share_closed(accuracy)
     if closed:
         rows.append(
             [
-                "*of the gap closed*",
+                "*of the gap, closed by re-synthesis*",
+                "",
                 *(percent(closed[test]) if test in closed else "" for test in tests),
             ]
         )
-    return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
+    return table(["trained on", "networks", *(f"tested in {test}" for test in tests)], rows)
 
 
 unseen_hands = of_report("unseen_hands")(_unseen)
 unseen_saccades = of_report("unseen_saccades")(_unseen)
 unseen_volumes = of_report("unseen_volumes")(_unseen)
 unseen_whole = of_report("unseen_whole")(_unseen)
+
+
+def unseen_commands() -> str:
+    """The commands that train the recorded networks of unseen motions, a line each."""
+    lines = []
+    for name in ("saccades", "whole", "hands", "volumes"):
+        n = len(results(f"unseen_{name}")["seeds"])
+        json = f"experiments/results/unseen_{name}.json"
+        lines.append(f"experiments.unseen_motions --set {name} --seeds {n} --json {json}")
+    return "\n".join(lines)
 
 
 @of_report("found_paths")

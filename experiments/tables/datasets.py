@@ -9,6 +9,7 @@ import numpy as np
 
 from async_tnt.volume.config import LANDMARKS
 from experiments.tables.parts import about_machine, of_report, percent, results, short, table
+from experiments.tables.thesis import commands as thesis_commands
 from experiments.thesis.numbers import cell, summary
 from experiments.thesis.numbers import short as three_digits
 from experiments.thesis.rows import IMAGES
@@ -69,6 +70,31 @@ def cars(report: dict[str, Any]) -> str:
     )
 
 
+def cars_command() -> str:
+    """The command that trains the recorded networks of N-CARS, but for those of `representations`.
+
+    It also draws the picture.
+    """
+    recipes = recipes_of(results("cars"))
+    names = [name for name in recipes if not name.startswith("equal_")]
+    return f"{_cars_command(recipes, names)} --picture docs/images/cars.png"
+
+
+def inputs_commands() -> str:
+    """The commands that train the recorded networks of `representations`, a line each."""
+    recipes = recipes_of(results("cars"))
+    names = [name for name in recipes if name.startswith("equal_")]
+    groups = ("comparison", "representations")
+    return f"{thesis_commands(groups)}\n{_cars_command(recipes, names)}"
+
+
+def _cars_command(recipes: dict[str, Any], names: Sequence[str]) -> str:
+    """The command that trains the networks of some recipes of N-CARS."""
+    n = max(len(recipes[name]["tests"]) for name in names)
+    words = ["experiments.cars N-CARS --recipes", *names, f"--seeds {n}"]
+    return " ".join([*words, "--json experiments/results/cars.json"])
+
+
 PUBLISHED_WORK = {
     "AsyNet (N. Messikommer et al. 2020)": (21.5, 0.944),
     "AEGNN (S. Schaefer et al. 2022)": (0.47, 0.945),
@@ -82,14 +108,15 @@ Both are from table 1 of Schaefer et al., [arXiv:2203.17149](https://arxiv.org/a
 def cars_work(report: dict[str, Any]) -> str:
     """A table of the work after an event on N-CARS, beside published numbers.
 
-    The operations of a network are two for each multiplication: it is added, too.
+    The operations of a network are two for each multiplication: it is added, too. They are those
+    of the first network of a recipe; the accuracy is a mean over its networks.
     """
     rows = [
         [name, f"{operations:g}", three_digits(accuracy)]
         for name, (operations, accuracy) in PUBLISHED_WORK.items()
     ]
     for name, recipe in recipes_of(report).items():
-        if "multiplications" in recipe:
+        if "multiplications" in recipe and not name.startswith("equal_"):
             operations = 2 * recipe["multiplications"] / 1e6
             whole = 2 * recipe["whole"] / 1e6
             accuracies = [test["accuracy"] for test in recipe["tests"]]
@@ -152,23 +179,30 @@ def _mean(accuracies: Sequence[float]) -> str:
 def representations() -> str:
     """A table of accuracies on N-MNIST and N-CARS and of times, by the input of the network.
 
-    Accuracies are means over the networks, with their standard deviation.
+    Accuracies are means over the networks, with their standard deviation. Inputs of which nothing
+    was measured are left out.
     """
     nmnist = recorded_table()["table"]
     recipes = results("cars")
     rows = []
     measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]
     for name, (title, row) in REPRESENTATIONS.items():
-        cells = [cell(nmnist.get(row, {}).get(column)) for column in ("all/all", "1/all", "1/sim")]
+        accuracies = nmnist.get(row, {})
         recipe = recipes.get(f"equal_{name}")
+        if not accuracies and recipe is None:
+            continue
+        n_nmnist = str(len(accuracies["1/all"]["seeds"])) if accuracies else "-"
+        cells = [n_nmnist, *(cell(accuracies.get(column)) for column in ("1/all", "1/sim"))]
         if recipe is None:
-            rows.append([title, *cells, *["-"] * (len(EQUAL_MS) + 2)])
+            rows.append([title, *cells, *["-"] * (len(EQUAL_MS) + 3)])
             continue
         shares = [[test["against_time_ms"][ms] for test in recipe["tests"]] for ms in EQUAL_MS]
         costs = [short(recipe["event_ns"]["median"]), short(recipe["every_event"]["us"]["median"])]
-        rows.append([title, *cells, *(cell(summary(values)) for values in shares), *costs])
+        cells += [str(len(recipe["tests"])), *(cell(summary(values)) for values in shares)]
+        rows.append([title, *cells, *costs])
     times = [f"{ms} ms" for ms in EQUAL_MS]
-    head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
+    head = ["", "networks, N-MNIST", "1/all", "1/sim", "networks, N-CARS", *times]
+    head += ["ns an event", "µs a decision"]
     return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
 
 
@@ -179,6 +213,15 @@ def bare(report: dict[str, Any]) -> str:
     for entry in report.values():
         rows.append([entry["title"], *_tested(entry)])
     return table(["data set", "networks", "windows", "recordings"], rows)
+
+
+def bare_command() -> str:
+    """The command that trains the recorded networks of `bare`."""
+    n = max(len(entry["networks"]) for entry in results("bare").values())
+    return (
+        "experiments.bare --nmnist N-MNIST --poker POKER-DVS --characters characters "
+        f"--seeds {n} --json experiments/results/bare.json"
+    )
 
 
 @of_report("from_pictures")

@@ -267,7 +267,9 @@ def box_cost(report: dict[str, Any]) -> str:
     for sensor, numbers in report["sensors"].items():
         for name, us in numbers["us"].items():
             quartiles = f"{short(us['q1'])} to {short(us['q3'])}"
-            cells = [sensor, name, short(us["median"]), quartiles, short(us["p99"])]
+            cells = [sensor, name, f"{numbers['objects']:.1f}"]
+            cells += [short(us["median"]), quartiles, short(us["p99"])]
             cells.append(f"{numbers['ratio']:.2f}" if name == "boxes" else "1")
             rows.append(cells)
-    return table(["sensor", "", "us a decision", "quartiles", "99 %", "of points"], rows)
+    head = ["sensor", "", "objects found", "us a decision", "quartiles", "99 %", "of points"]
+    return table(head, rows)

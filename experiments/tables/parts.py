@@ -55,10 +55,12 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def about_machine(*reports: dict[str, Any]) -> str:
-    """A sentence on the machine of reports: processor, load and versions.
+def about_machine(*reports: dict[str, Any], threads: str = "one thread") -> str:
+    """A sentence on the machine of reports: processor, threads, load and versions.
 
     All reports must be from one machine; their loads may differ.
+
+    threads : how many threads or processes worked.
     """
     settings = reports[0]["machine"]
     loads = sorted({report["machine"]["load_1min"] for report in reports})
@@ -76,4 +78,4 @@ def about_machine(*reports: dict[str, Any]) -> str:
         f"Numba {settings['numba']}",
         *(f"{title} {settings[name]}" for name, title in names.items() if settings.get(name)),
     ]
-    return f"{settings['cpu']}, one thread, load {load}; {', '.join(versions)}."
+    return f"{settings['cpu']}, {threads}, load {load}; {', '.join(versions)}."

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.records.files import RESULTS, read_json
 from experiments.tables.decisions import box_cost
 from experiments.tables.parts import of_report, percent, results, table
 
@@ -105,7 +106,11 @@ def object_mistakes(report: dict[str, Any]) -> str:
 
 @of_report("object_scales")
 def object_mistaken(report: dict[str, Any]) -> str:
-    """A table of the kinds that are taken for others most often, on the first sensor."""
+    """A table of the kinds that are taken for others most often, on the first sensor.
+
+    The report has the pairs that each network mistakes most often. Others count as 0, so that the
+    means are lower bounds.
+    """
     sensor = next(iter(report["scenes"]))
     totals: Counter[tuple[str, str]] = Counter()
     for model in report["models"]:
@@ -115,7 +120,7 @@ def object_mistaken(report: dict[str, Any]) -> str:
         [kind, other, f"{n / len(report['models']):.1f}"]
         for (kind, other), n in totals.most_common(6)
     ]
-    return table(["kind", "taken for", "objects, a network"], rows)
+    return table(["kind", "taken for", "objects, a network, at least"], rows)
 
 
 def object_cost() -> str:
@@ -125,25 +130,37 @@ def object_cost() -> str:
 
 def object_networks() -> str:
     """A table of networks between which was chosen, in scenes of the tuning seed."""
-    reports = {
-        "`boxes`": results("object_scales_tuning"),
-        "`map`, which says no middles of boxes": results("object_scales_map"),
-        "as `boxes`, boxes weigh a tenth of classes": results("object_scales_a_tenth"),
-        "as `boxes`, boxes weigh as much as classes": results("object_scales_equal_weights"),
-        "two levels, boxes weigh as much as classes": results("object_scales_two_levels"),
+    names = {
+        "`boxes`, boxes weigh .3": "object_scales_tuning",
+        "`map`, which says no middles of boxes": "object_scales_map",
+        "as `boxes`, boxes weigh a tenth of classes": "object_scales_a_tenth",
+        "as `boxes`, boxes weigh as much as classes": "object_scales_equal_weights",
+        "two levels, boxes weigh as much as classes": "object_scales_two_levels",
     }
     rows = []
-    for title, report in reports.items():
+    for title, name in names.items():
+        report = results(name)
         models = report["models"]
-        cells = [title, str(len(models)), f"{report['multiplications'] / 1e6:.0f}"]
+        cells = [title, _made_by(name), str(len(models))]
+        cells.append(f"{report['multiplications'] / 1e6:.0f}")
         for sensor in report["scenes"]:
             ends = [model["scores"][sensor]["100"] for model in models]
             cells += [_three([one[name] for one in ends]) for name in ("map_50", "map")]
         rows.append(cells)
-    head = ["network", "networks", "million multiplications a pass"]
-    for sensor in next(iter(reports.values()))["scenes"]:
-        head += [f"{sensor}: {COCO['map_50']}", COCO["map"]]
+    head = ["network", "commit and options", "networks", "million multiplications a pass"]
+    for sensor, n in report["scenes"].items():
+        head += [f"{n} scenes on {sensor}: {COCO['map_50']}", COCO["map"]]
     return table(head, rows)
+
+
+def _made_by(name: str) -> str:
+    """The commit of a recorded run, and the options of its command but for its files."""
+    run = read_json(RESULTS / f"{name}.json")["run"]
+    words = run["command"].split()[3:]
+    for option in ("--out", "--json"):
+        place = words.index(option)
+        del words[place : place + 2]
+    return f"{run['commit'][:8]} `{' '.join(words)}`" if words else str(run["commit"][:8])
 
 
 def object_curve() -> str:

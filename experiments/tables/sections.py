@@ -72,7 +72,8 @@ class Section:
     ----------
     title : heading of the section.
     text : how the numbers were measured, and what limits them; Markdown.
-    command : command that measures them again, without `python -m`; "" if there is none.
+    command : commands that measure them again, a line each and without `python -m`, or a function
+        that makes them of the results; "" if there is none.
     picture : name of a picture in docs/images; "" if there is none.
     tables : function that makes a table -> what the table shows.
     results : names of the files or folders in experiments/results that the tables are made of.
@@ -80,7 +81,7 @@ class Section:
 
     title: str
     text: str = ""
-    command: str = ""
+    command: str | Callable[[], str] = ""
     picture: str = ""
     tables: dict[Table, str] = field(default_factory=dict)
     results: tuple[str, ...] = ()
@@ -188,17 +189,17 @@ SECTIONS = (
     Section(
         title="Cars",
         text=CARS,
-        command=(
-            "experiments.cars N-CARS --json experiments/results/cars.json --picture "
-            "docs/images/cars.png"
-        ),
+        command=datasets.cars_command,
         picture="cars",
         tables={
             datasets.cars: "Accuracy on the test part by the time since the first event",
-            datasets.cars_work: "Work after an event, beside published numbers",
+            datasets.cars_work: (
+                "Work after an event: published, and of the first network of each row"
+            ),
             datasets.cars_confidence: (
-                "What a level of confidence costs, looked at every 2 ms; *right of all*: windows "
-                "that do not reach it are decided at their ends"
+                "What a level of confidence costs, looked at every 2 ms, means over the networks "
+                "of the first row; *right of all*: windows that do not reach it are decided at "
+                "their ends"
             ),
         },
         results=("cars",),
@@ -206,12 +207,9 @@ SECTIONS = (
     Section(
         title="Without options",
         text=WITHOUT_OPTIONS,
-        command=(
-            "experiments.bare --nmnist N-MNIST --poker POKER-DVS --characters characters --json "
-            "experiments/results/bare.json"
-        ),
+        command=datasets.bare_command,
         tables={
-            datasets.bare: "Test parts, mean and standard deviation over seeds",
+            datasets.bare: "Test parts, mean and standard deviation over networks",
         },
         results=("bare",),
     ),
@@ -220,22 +218,26 @@ SECTIONS = (
         text=DEFAULT,
         command=(
             "experiments.recipes --cars N-CARS --nmnist N-MNIST --poker POKER-DVS --characters "
-            "characters --json experiments/results/recipes.json"
+            "characters --json experiments/results/recipes.json\n"
+            'experiments.recipes --sets sessions --candidates "3 bins" "time surface" "counts and '
+            'times" --json experiments/results/recipes.json'
         ),
         tables={
-            datasets.recipes: "Held-out windows right at their ends / in the mean over ten moments",
+            datasets.recipes: (
+                "Held-out windows right at their ends / in the mean over the moments, one network "
+                "in each cell"
+            ),
         },
         results=("recipes",),
     ),
     Section(
         title="Which input",
         text=INPUTS,
-        command=(
-            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows comparison "
-            "representations --into experiments/results/thesis"
-        ),
+        command=datasets.inputs_commands,
         tables={
-            datasets.representations: "Accuracy and costs, by input",
+            datasets.representations: (
+                "Accuracy and costs, by input; mean ± standard deviation over networks"
+            ),
         },
         results=("thesis", "cars"),
     ),
@@ -281,10 +283,7 @@ SECTIONS = (
     Section(
         title="The thesis' table",
         text=THESIS,
-        command=(
-            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --v2e V2E --into "
-            "experiments/results/thesis"
-        ),
+        command=thesis.thesis_command,
         picture="directions",
         tables={
             thesis.thesis_rows: (
@@ -296,7 +295,10 @@ SECTIONS = (
             ),
             differences.effects: "What the gain depends on",
             thesis.comparison: "The comparison: 3,000 steps, t_max 2",
-            thesis.t_max: "How t_max was chosen: TNT about the running centroid",
+            thesis.t_max: (
+                "Other values of t_max: TNT about the running centroid, held-out digits of the "
+                "first saccade"
+            ),
             thesis.foreign: "The motions of *sim*, seen by the pixels of v2e",
             differences.differences: (
                 "Differences and their 95 % intervals; bold: holds among all of its question"
@@ -332,10 +334,7 @@ SECTIONS = (
     Section(
         title="Re-synthesized motions",
         text=MOTIONS,
-        command=(
-            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --v2e V2E --rows motions "
-            "--into experiments/results/thesis"
-        ),
+        command=thesis.motions_command,
         tables={
             thesis.resynthesis: "Accuracy",
             thesis.controls: "Beside the best of the cheap ways",
@@ -346,23 +345,18 @@ SECTIONS = (
     Section(
         title="Few events, in motions that were not recorded",
         text=FEW,
-        command=(
-            "experiments.unseen_motions --set saccades --json "
-            "experiments/results/unseen_saccades.json"
-        ),
+        command=accuracy.unseen_commands,
         tables={
-            accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events",
+            accuracy.unseen_saccades: (
+                "N-MNIST's saccades with a fifth of their events: `--set saccades`"
+            ),
             accuracy.unseen_whole: (
-                "All events of the first saccade of 8,000 recordings: `--set whole --seeds 3 "
-                "--json experiments/results/unseen_whole.json`"
+                "All events of the first saccade of 8,000 recordings: `--set whole`"
             ),
-            accuracy.unseen_hands: (
-                "Hand motion: `--set hands --json experiments/results/unseen_hands.json`"
-            ),
+            accuracy.unseen_hands: "Hand motion: `--set hands`",
             accuracy.unseen_volumes: (
-                "The saccades by what is learned from: `--set volumes --seeds 1 --json "
-                "experiments/results/unseen_volumes.json`. The default was set after this was "
-                "seen"
+                "The saccades by what is learned from, re-synthesized: `--set volumes`. The "
+                "default was set after this was seen"
             ),
         },
         results=("unseen_saccades", "unseen_whole", "unseen_hands", "unseen_volumes"),
@@ -382,13 +376,20 @@ SECTIONS = (
         title="Pictures alone",
         text=FROM_PICTURES,
         command=(
-            "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters "
-            "--made --fonts FONTS --seeds 5 --json experiments/results/from_pictures.json"
+            "experiments.from_pictures --nmnist N-MNIST --seeds 5 --json "
+            "experiments/results/from_pictures.json\n"
+            "experiments.from_pictures --poker POKER-DVS --fonts FONTS --seeds 5 --json "
+            "experiments/results/from_pictures.json\n"
+            "experiments.from_pictures --characters characters --fonts FONTS-UP-TO-1-MB --seeds 5 "
+            "--json experiments/results/from_pictures.json\n"
+            "experiments.from_pictures --made --seeds 5 --json "
+            "experiments/results/from_pictures.json"
         ),
         tables={
             datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
             datasets.moved_digits: (
-                "N-MNIST's networks on simulated test images, in motions and speeds of their own"
+                "N-MNIST's networks on simulated test images, in motions and speeds of their own; "
+                "means over the networks"
             ),
         },
         results=("from_pictures",),
@@ -402,14 +403,21 @@ SECTIONS = (
         ),
         picture="few_recordings",
         tables={
-            datasets.few_recordings: "Windows and recordings right",
+            datasets.few_recordings: "Windows and recordings right, one network in each cell",
         },
         results=("few_recordings",),
     ),
     Section(
         title="A class from a few recordings",
         text=TEACHING,
-        command="experiments.teaching --json experiments/results/teaching.json",
+        command=(
+            "experiments.teaching --json experiments/results/teaching.json\n"
+            "experiments.teaching --digits 4 --again --recordings 10 --json "
+            "experiments/results/teaching.json\n"
+            "experiments.teaching --digits 4,6 --fine --recordings 10 --json "
+            "experiments/results/teaching.json\n"
+            "experiments.teaching --digits 4,6 --settings --json experiments/results/teaching.json"
+        ),
         tables={
             teaching.teaching: (
                 "New class / old classes / mean of ten; means over digits and five draws"
@@ -456,6 +464,8 @@ SECTIONS = (
         title="Objects of many sizes",
         text=OBJECT_SCALES,
         command=(
+            "experiments.object_scales --out FOLDER --seeds 5 --json "
+            "experiments/results/object_scales_tuning.json\n"
             "experiments.object_scales --out FOLDER --seeds 5 --final --json "
             "experiments/results/object_scales.json"
         ),
@@ -463,23 +473,27 @@ SECTIONS = (
             scales.object_scales: "Boxes in made scenes, the final set",
             scales.object_kinds: "F1 by kind at the end of the scenes",
             scales.object_mistakes: (
-                "Which objects have a box at the end of the scenes, by size, of all networks"
+                "Which objects have a box at the end of the scenes, by size, of all networks; the "
+                "overlap of both boxes is .5 or more"
             ),
-            scales.object_mistaken: "What is taken for what most often, 240x180",
+            scales.object_mistaken: (
+                "What is taken for what most often, 240x180; each network names the six pairs that "
+                "it mistakes most often"
+            ),
             scales.object_networks: (
                 "Which network, in scenes of the tuning seed after 100 ms: `python -m "
-                "experiments.object_scales --out FOLDER --network map --json "
-                "experiments/results/object_scales_map.json`. In `boxes` they weigh .3. The other "
-                "weights are those of commits 3fc848a7 and bea187d8; the latter had two levels"
+                "experiments.object_scales --out FOLDER`, by the code of the commit and with the "
+                "options of the row"
             ),
             scales.object_curve: (
-                "The learning curve of the first network in scenes of the tuning seed, on 240x180 "
-                "after 100 ms: `python -m experiments.object_scales --out FOLDER --seeds 5 --json "
-                "experiments/results/object_scales_tuning.json`"
+                "The learning curve of the first network in 30 scenes of the tuning seed, on "
+                "240x180 after 100 ms"
             ),
             scales.object_cost: (
-                "A decision after one event, with boxes and with points, in one run: `python -m "
-                "experiments.box_cost MODEL --json experiments/results/box_cost_scales.json`"
+                "A decision after one event, with boxes and with points, in one run. The scenes "
+                "show three moving digits of N-MNIST, none of the network's kinds, so it finds few "
+                "objects: `python -m experiments.box_cost MODEL --json "
+                "experiments/results/box_cost_scales.json`"
             ),
         },
         results=(
@@ -526,7 +540,9 @@ SECTIONS = (
         text=SLIDING,
         command="experiments.sliding --json experiments/results/sliding.json",
         tables={
-            sliding.sliding_events: "An event into an image of counts, in packets of 1,300",
+            sliding.sliding_events: (
+                "An event into an image of counts or into bins, in packets of 1,300"
+            ),
             sliding.sliding_decisions: "A decision after every event, RoShamBo's network",
             sliding.sliding_machine: "Machine",
         },
@@ -536,12 +552,16 @@ SECTIONS = (
         title="Training on windows that slide",
         text=SLIDING_TRAINING,
         command=(
-            "experiments.sliding_training --nmnist N-MNIST --cars N-CARS --seeds 2 "
-            "--json experiments/results/sliding_training.json --picture docs/images/sliding.png"
+            "experiments.sliding_training --nmnist N-MNIST --seeds 2 --json "
+            "experiments/results/sliding_training.json\n"
+            "experiments.sliding_training --cars N-CARS --seeds 1 --json "
+            "experiments/results/sliding_training.json --picture docs/images/sliding.png"
         ),
         picture="sliding",
         tables={
-            sliding_curves.sliding_training: "Accuracy against the time since the first event",
+            sliding_curves.sliding_training: (
+                "Accuracy against the time since the first event, means over the networks"
+            ),
         },
         results=("sliding_training",),
     ),
@@ -629,12 +649,16 @@ def page() -> str:
         parts.append(f"## {section.title}")
         if section.text:
             parts.append(section.text)
-        if section.command:
-            parts.append(f"```sh\npython -m {section.command}\n```")
+        command = section.command if isinstance(section.command, str) else section.command()
+        if command:
+            lines = "\n".join(f"python -m {line}" for line in command.splitlines())
+            parts.append(f"```sh\n{lines}\n```")
         if section.picture:
             parts.append(f"![{section.title}](../docs/images/{section.picture}.png)")
         for table, caption in section.tables.items():
-            parts += [f"**{caption}**", table()]
+            text = table()
+            if text:
+                parts += [f"**{caption}**", text]
         if section.results:
             parts += ["**Runs**", about_runs(section.results)]
     return "\n\n".join(parts) + "\n"

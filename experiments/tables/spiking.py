@@ -16,7 +16,7 @@ def spiking_accuracy(report: dict[str, Any]) -> str:
     n = f"{part['right']:,} of {part['recordings']:,} recordings"
     rows = [["async_tnt, event by event", "measured", percent(part["accuracy"]), n]]
     for name, share in part["published"].items():
-        rows.append([f"{name}, in time bins", "published", percent(share), "the official test"])
+        rows.append([name, "published", percent(share), "the official test"])
     return table(["", "", "right", "of"], rows)
 
 

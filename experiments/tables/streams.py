@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from experiments.tables.parts import about_machine, of_report, percent, results, short, table
@@ -14,8 +15,8 @@ WAYS = {
 """Way of receiving datagrams -> its title."""
 
 map_machine = of_report("map_times")(about_machine)
-threads_machine = of_report("threads")(about_machine)
-udp_machine = of_report("network")(about_machine)
+threads_machine = of_report("threads")(partial(about_machine, threads="two threads"))
+udp_machine = of_report("network")(partial(about_machine, threads="two processes"))
 
 
 def udp_latency() -> str:
@@ -130,7 +131,10 @@ def map_load(report: dict[str, Any]) -> str:
 
 @of_report("threads")
 def threads(report: dict[str, Any]) -> str:
-    """A table of how much faster two streams are in two threads than one after the other."""
+    """A table of how much faster two streams are in two threads than one after the other.
+
+    Sentences follow on the spread of the ratios, and on the time to wake a thread.
+    """
     titles = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",
@@ -138,10 +142,13 @@ def threads(report: dict[str, Any]) -> str:
     }
     head = ["packets of", *(f"{int(n):,}" for n in report["volume"])]
     rows = []
+    distances = []
     for case, title in titles.items():
-        ratios = [f"{ratio['median']:.2f}" for ratio in report[case].values()]
-        rows.append([title, *ratios])
+        ratios = list(report[case].values())
+        rows.append([title, *(f"{ratio['median']:.2f}" for ratio in ratios)])
+        distances += [abs(ratio[q] - ratio["median"]) for ratio in ratios for q in ("q1", "q3")]
     sentence = (
+        f"Quartiles lie up to {max(distances):.2f} from the medians. "
         f"A thread that waits for Python's lock runs on {report['wake_us']:.0f} us after it is "
         "released."
     )
@@ -151,6 +158,7 @@ def threads(report: dict[str, Any]) -> str:
 @of_report("sustained")
 def sustained(report: dict[str, Any]) -> str:
     """A table of delays and counts by load, with sentences on the sustained rate and machine."""
+    seconds = report["seconds"]
     rows = []
     for load, stream in report["streams"].items():
         delays = (f"{ms:.2f}" for ms in (*stream["delay_ms"].values(), stream["worst_ms"]))
@@ -161,13 +169,15 @@ def sustained(report: dict[str, Any]) -> str:
             percent(stream["skipped"] / stream["received"]),
             f"{stream['grown_mb']:.1f}",
         )
-        rows.append([load, f"{stream['rate']:,.0f}", *delays, *counts])
+        rows.append([load, f"{stream['received'] / seconds:,.0f}", *delays, *counts])
     every = "event" if report["every_events"] == 1 else f"{report['every_events']} events"
     head = ["load", "events a second", "delay, ms: median", "99 %", "99.9 %", "worst"]
+    rates = ", ".join(f"{int(rate):,}" for rate in report["share_of_core"])
     sentence = (
-        f"{report['model']}, a decision after every {every}, if need be rarer: "
+        f"`{report['model']}`, a decision after every {every}, if need be rarer; {seconds} seconds "
+        f"for each load; `KeepUp` skips what is older than {report['max_delay_us'] / 1e3:.0f} ms. "
         f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us "
-        "each."
+        f"each, by a line through the processor times at {rates} events a second."
     )
     loads = table([*head, "decisions", "rarer", "skipped", "MB more"], rows)
-    return f"{sentence}\n\n{loads}\n\n{about_machine(report)}"
+    return f"{sentence}\n\n{loads}\n\n{about_machine(report, threads='two threads')}"

@@ -70,10 +70,10 @@ def teaching(report: dict[str, Any]) -> str:
 
 @of_report("teaching")
 def teaching_poker(report: dict[str, Any]) -> str:
-    """Suits of POKER-DVS: windows and recordings right."""
+    """Suits of POKER-DVS: windows and recordings right; "" without them."""
     suits = _with(report, "poker")
     if not suits:
-        return NOT_MEASURED
+        return ""
     rows = []
     base = [
         f"- / {_share(entry['base'][key] for entry in suits)} / -"

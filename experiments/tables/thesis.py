@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from async_tnt.resynthesis.calibration import UNITS
 from experiments.tables.differences import BASELINE
 from experiments.tables.parts import of_report, table
-from experiments.thesis.numbers import cell, markdown_table, short, summary
-from experiments.thesis.rows import CONTROLS, FOREIGN, ROWS, T_MAX, THESIS_SET
+from experiments.thesis.numbers import cell, markdown_table, networks_of, short, summary
+from experiments.thesis.rows import CONTROLS, FOREIGN, ROWS, T_MAX, THESIS_SET, TRAINED_ON
 from experiments.thesis.table import recorded_networks, recorded_table
 
 GUESS = 0.1
@@ -65,9 +66,65 @@ def _accuracies() -> dict[str, Any]:
     return dict(recorded_table()["table"])
 
 
+def _measured(groups: Sequence[str], columns: Sequence[str]) -> list[str]:
+    """Those of some columns in which a row of some groups has a number."""
+    rows = [parts for name, parts in _accuracies().items() if ROWS[name].group in groups]
+    return [column for column in columns if any(column in parts for parts in rows)]
+
+
+def _of_groups(groups: Sequence[str], columns: Sequence[str]) -> str:
+    """A table of the rows of some groups, in those of some columns that were measured."""
+    return markdown_table(_accuracies(), groups, _measured(groups, columns), with_networks=True)
+
+
+def commands(groups: Sequence[str]) -> str:
+    """The commands that train the recorded networks of some groups, a line each."""
+    seeds: dict[tuple[str, str], list[int]] = {}
+    for network in recorded_networks():
+        if ROWS[network["row"]].group in groups:
+            seeds.setdefault((network["row"], network["trained_on"]), []).append(network["seed"])
+    # the rows with the same networks are trained by one command
+    rows_of: dict[tuple[tuple[str, ...], tuple[int, ...]], list[str]] = {}
+    for row in ROWS:
+        trainings: dict[tuple[int, ...], list[str]] = {}
+        for trained_on in TRAINED_ON:
+            if (row, trained_on) in seeds:
+                its_seeds = tuple(sorted(seeds[row, trained_on]))
+                trainings.setdefault(its_seeds, []).append(trained_on)
+        for its_seeds, parts in trainings.items():
+            rows_of.setdefault((tuple(parts), its_seeds), []).append(row)
+    lines = []
+    for (trained_on_sets, its_seeds), rows in rows_of.items():
+        words = ["experiments.thesis_table --nmnist N-MNIST --mnist MNIST --v2e V2E"]
+        words += ["--rows", *_by_group(rows), "--trained-on", *trained_on_sets]
+        words += ["--seeds", *map(str, its_seeds), "--into experiments/results/thesis"]
+        lines.append(" ".join(words))
+    return "\n".join(lines)
+
+
+def _by_group(rows: Sequence[str]) -> list[str]:
+    """Names of rows, or of their groups where all rows of a group are among them."""
+    names = []
+    for row in rows:
+        group = ROWS[row].group
+        members = [name for name, other in ROWS.items() if other.group == group]
+        names.append(group if set(members) <= set(rows) else row)
+    return list(dict.fromkeys(names))
+
+
+def thesis_command() -> str:
+    """The commands that train the recorded networks, but for those of re-synthesis."""
+    return commands(("thesis", "comparison", "t_max", "representations"))
+
+
+def motions_command() -> str:
+    """The commands that train the recorded networks of re-synthesis and its controls."""
+    return commands(("motions",))
+
+
 def thesis_rows() -> str:
     """A table of the thesis' rows, with the thesis' own numbers in brackets."""
-    return markdown_table(_accuracies(), ("thesis",), THESIS_COLUMNS)
+    return _of_groups(("thesis",), THESIS_COLUMNS)
 
 
 def comparison() -> str:
@@ -79,7 +136,9 @@ def comparison() -> str:
     accuracies = _accuracies()
     if BASELINE not in accuracies:
         return "Not measured yet."
-    lines = markdown_table(accuracies, ("comparison", "representations"), COLUMNS).splitlines()
+    groups = ("comparison", "representations")
+    columns = _measured(groups, COLUMNS)
+    lines = _of_groups(groups, COLUMNS).splitlines()
     guess_by_column = {
         "1/all": _guessed("1/all"),
         "1/others": GUESS,
@@ -87,9 +146,9 @@ def comparison() -> str:
         "1/sim": GUESS,
     }
     cells = [
-        short(guess_by_column[column]) if column in guess_by_column else "" for column in COLUMNS
+        short(guess_by_column[column]) if column in guess_by_column else "" for column in columns
     ]
-    lines.insert(2, f"| *guessing in other motions* | {' | '.join(cells)} |")
+    lines.insert(2, f"| *guessing in other motions* |  | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -119,6 +178,7 @@ def t_max() -> str:
     rows = [
         ["held-out loss", *(cell(summary(loss_by_t_max[value])) for value in values)],
         ["held-out windows right", *(cell(summary(right_by_t_max[value])) for value in values)],
+        ["networks", *(str(len(loss_by_t_max[value])) for value in values)],
     ]
     assert not values or T_MAX in values
     return table(["", *(f"t_max {value:g}" for value in values)], rows)
@@ -163,10 +223,10 @@ def against_time() -> str:
             if against_time:
                 times = against_time
                 early_accuracies = [short(accuracy) for accuracy in against_time.values()]
-                body.append(
-                    [f"{column}: {ROWS[row].title}", *early_accuracies, short(entry["mean"])]
-                )
-    return table(["", *(f"{ms} ms" for ms in times), "105 ms"], body)
+                title = f"{column}: {ROWS[row].title}"
+                n = str(len(entry["seeds"]))
+                body.append([title, n, *early_accuracies, short(entry["mean"])])
+    return table(["", "networks", *(f"{ms} ms" for ms in times), "105 ms"], body)
 
 
 @of_report("equivariance")
@@ -182,7 +242,7 @@ def equivariance(report: dict[str, Any]) -> str:
 
 def resynthesis() -> str:
     """A table of accuracies with re-synthesis, and of controls with the same number of steps."""
-    return markdown_table(_accuracies(), ("motions",), MOTIONS_COLUMNS)
+    return _of_groups(("motions",), MOTIONS_COLUMNS)
 
 
 def controls() -> str:
@@ -213,8 +273,9 @@ def foreign() -> str:
             own = columns.get(f"{trained_on}/sim")
             other = columns.get(f"{trained_on}/{FOREIGN}")
             if own is not None and other is not None:
-                body.append([f"{trained_on}: {ROWS[name].title}", cell(own), cell(other)])
-    return table(["trained on", "our pixels", "those of v2e"], body)
+                n = networks_of({trained_on: own})
+                body.append([f"{trained_on}: {ROWS[name].title}", n, cell(own), cell(other)])
+    return table(["trained on", "networks", "our pixels", "those of v2e"], body)
 
 
 def resynthesis_match() -> str:

@@ -174,19 +174,26 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def markdown_table(
-    table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()
+    table: dict[str, Any],
+    groups: Sequence[str],
+    columns: Sequence[str] = (),
+    *,
+    with_networks: bool = False,
 ) -> str:
     """A table in Markdown of the rows of some groups, in some columns or in all.
 
     The thesis' numbers follow in brackets.
+
+    with_networks : whether a column has the number of networks.
     """
     rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
     if not rows:
         return "Not measured yet."
     columns = columns or in_order(column for row in rows for column in table[row])
-    lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
+    head = ["networks", *columns] if with_networks else columns
+    lines = ["| | " + " | ".join(head) + " |", "|---" * (1 + len(head)) + "|"]
     for row in rows:
-        cells = []
+        cells = [networks_of(table[row])] if with_networks else []
         for column in columns:
             thesis = THESIS.get(row, {}).get(column)
             cells.append(
@@ -194,6 +201,20 @@ def markdown_table(
             )
         lines.append(f"| {ROWS[row].title} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def networks_of(columns: Mapping[str, Any]) -> str:
+    """The text of the number of networks of a row of `aggregate`, such as 3.
+
+    If the numbers differ by what the networks are trained on, it is such as 2 (all), 3 (1).
+    """
+    numbers: dict[str, int] = {}
+    for column, part in columns.items():
+        trained_on = column.partition("/")[0]
+        numbers[trained_on] = max(numbers.get(trained_on, 0), len(part["seeds"]))
+    if len(set(numbers.values())) == 1:
+        return str(next(iter(numbers.values())))
+    return ", ".join(f"{n} ({trained_on})" for trained_on, n in numbers.items())
 
 
 def cell(part: dict[str, Any] | None) -> str:

@@ -12,8 +12,8 @@ share the network and the optimizer.
   In both cases events are thinned at random, which moves nothing. The thesis moves windows for its
   regressor alone, and does not say how far. Here windows are moved for all inputs, so that the
   comparison is fair.
-- `t_max` is how t_max was chosen for the comparison: by the loss on held-out digits of the training
-  motion. Its networks are not tested.
+- `t_max` has other values of t_max than the comparison, for the loss on held-out digits of the
+  training motion. Its networks are not tested.
 - `motions` has motion re-synthesis, an augmentation that the thesis does not have. Its rows show
   what recordings of one motion can teach, not what a network infers by itself. Its controls are
   cheap ways to other directions, with the same number of steps.
@@ -191,7 +191,7 @@ GROUPS = {
         "with the regressor only"
     ),
     "comparison": "raw volumes and TNT by landmark, translated or not, t_max 2",
-    "t_max": "how t_max was chosen: TNT about the running centroid, validated only",
+    "t_max": "other values of t_max: TNT about the running centroid, validated only",
     "motions": "with motion re-synthesis, an augmentation, and controls of as many steps",
     "representations": "event images instead of volumes",
 }

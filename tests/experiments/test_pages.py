@@ -9,11 +9,11 @@ import pytest
 
 from experiments import pages
 from experiments.records import files
-from experiments.tables import differences, parts, runs, sections
+from experiments.tables import differences, parts, runs, sections, thesis
 from experiments.tables.parts import RESULTS
 from experiments.thesis.numbers import signed
-from experiments.thesis.rows import QUESTIONS, ROWS
-from experiments.thesis.table import recorded_table
+from experiments.thesis.rows import QUESTIONS, ROWS, runs_of
+from experiments.thesis.table import recorded_networks, recorded_table
 
 
 def test_the_pages_show_the_results(capsys):
@@ -112,6 +112,19 @@ def test_what_holds_is_said_and_nothing_else():
     assert differences.answer(question, found[1:2]) == f"{question}: 0 of 1 differences hold."
     said = differences.answer(question, [])
     assert said == f"{question}: not measured yet, with two seeds or more."
+
+
+def test_the_commands_of_the_thesis_table_train_the_recorded_networks():
+    trained = []
+    for command in f"{thesis.thesis_command()}\n{thesis.motions_command()}".splitlines():
+        options = {part.split()[0]: part.split()[1:] for part in command.split(" --")[1:]}
+        runs = runs_of(options["rows"], options["trained-on"], list(map(int, options["seeds"])))
+        trained += [run.name for run in runs]
+    recorded = [
+        f"{network['row']}-{network['trained_on']}-seed{network['seed']}"
+        for network in recorded_networks()
+    ]
+    assert sorted(trained) == sorted(recorded)
 
 
 def rows_of(table):

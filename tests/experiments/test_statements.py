@@ -1,39 +1,17 @@
-"""Sentences of docs/results.md and docs/theory.md whose numbers no table makes.
-
-Each holds in the results. The numbers are read from the page, so that a changed sentence is noticed
-as a changed result is.
-"""
+"""Sentences of docs/results.md whose numbers no table makes: each holds in the results."""
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from functools import partial
 
-import numpy as np
 import pytest
+from statements import numbers_said, text_of
 
-from async_tnt.simulation.simulator import PixelModel
-from experiments.lessons.readings import SURE
-from experiments.records.run import ROOT
 from experiments.tables.accuracy import share_closed
 from experiments.tables.parts import results
 
-
-def text_of(page: str) -> str:
-    """A page, with one space where it has spaces or new lines."""
-    return " ".join((ROOT / Path(page)).read_text(encoding="utf-8").split())
-
-
-PAGE = text_of("docs/results.md")
-THEORY = text_of("docs/theory.md")
-
-
-def said(sentence: str, page: str = PAGE) -> list[float]:
-    """The numbers that the page says where `sentence` has #."""
-    pattern = re.escape(sentence).replace(r"\#", r"([\d,]*\.?\d+)")
-    found = list(re.finditer(pattern, page))
-    assert len(found) == 1, f"the page says this {len(found)} times: {sentence}"
-    return [float(number.replace(",", "")) for number in found[0].groups()]
+said = partial(numbers_said, page=text_of("docs/results.md"))
 
 
 def test_the_whole_window_is_as_fast_as_a_full_pass_and_one_event_twice_as_fast():
@@ -311,61 +289,3 @@ def test_windows_that_slide_cost_little():
     }
     replayed = us_a_multiplication["window_events, replayed"]
     assert us_a_multiplication["last events"] < replayed
-
-
-def test_the_theory_tells_how_many_events_a_saccade_has():
-    found = results("fit_pixels")
-    recordings, events = said(
-        "(Saccades in # training recordings of N-MNIST have # events on average.)", THEORY
-    )
-    assert found["official_training_recordings"] == [1, recordings, recordings]
-    assert round(found["recorded"]["events per window"]) == events
-
-
-def test_the_theory_tells_which_constants_the_recordings_would_change():
-    deviations = results("fit_pixels")["deviations"]
-    present = deviations.pop("present")
-    said("no change of contrast, lens or thresholds by this factor is better.", THEORY)
-    for name, value in deviations.items():
-        if name.startswith(("contrast", "blur_px", "threshold_")):
-            assert value > present, name
-    new_hz, old_hz, new_us, old_us = said(
-        "Noise of # Hz is better than #, and a refractory time of # us better than #.", THEORY
-    )
-    pixels = PixelModel()
-    assert (pixels.noise_hz, pixels.refractory_us) == (old_hz, old_us)
-    assert deviations[f"noise_hz {new_hz:g}"] < present
-    assert deviations[f"refractory_us {new_us:g}"] < present
-    said(r"The recordings hardly tell $\gamma$ and the mismatch.", THEORY)
-    for name, value in deviations.items():
-        if name.startswith(("gamma", "mismatch")):
-            assert abs(value - present) < 0.005, name
-
-
-def test_the_theory_tells_how_much_noise_a_line_has():
-    rows = {}
-    for landmark in ("running", "line"):
-        # the only rows without signs
-        row = re.findall(rf"\| `{landmark}` \|((?: [\d.]+ \|){{5}})", THEORY)
-        assert len(row) == 1
-        rows[landmark] = [float(cell) for cell in row[0].split(" |")[:5]]
-    (times,) = said("at the window's end it is # times that of `running`.", THEORY)
-    assert round(rows["line"][-1] / rows["running"][-1], 1) == times
-    (px,) = said("both are the same to # px.", THEORY)
-    assert abs(rows["line"][0] - rows["running"][0]) == pytest.approx(px)
-
-
-def test_the_theory_tells_how_sure_taught_networks_are_of_nothing():
-    before, level, least, most = said(
-        "without the new class # % of them end with a class that has # or more, with it # to # %",
-        THEORY,
-    )
-    assert level == SURE
-    digits = [entry for name, entry in results("teaching").items() if name.startswith("without")]
-    assert len(digits) == 10
-    assert round(100 * np.mean([digit["base"]["sure_of_nothing"] for digit in digits]), 1) == before
-    shares = []
-    for n in digits[0]["taught"]:
-        draws = [draw["sure_of_nothing"] for digit in digits for draw in digit["taught"][n]]
-        shares.append(round(100 * np.mean(draws), 1))
-    assert [min(shares), max(shares)] == [least, most]

@@ -38,6 +38,7 @@ from experiments.thesis.numbers import (  # noqa: E402
     differences,
     interval,
     markdown_table,
+    networks_of,
 )
 from experiments.thesis.right import packed, unpacked  # noqa: E402
 from experiments.thesis.rows import CONTROLS, QUESTIONS, ROWS, SETS, Run  # noqa: E402
@@ -134,6 +135,11 @@ def test_numbers_and_tables_by_hand():
     assert part["per_motion"]["saccade 2"] == pytest.approx(0.495)
     assert table["thesis-tnt"]["all/bell"]["deviation"] is None
     assert markdown_table(table, ["comparison"]).splitlines()[2] == "| raw | .990 ± .014 |"
+    assert (
+        markdown_table(table, ["comparison"], with_networks=True).splitlines()[2]
+        == "| raw | 2 | .990 ± .014 |"
+    )
+    assert networks_of({**table["raw"], "1/all": {"seeds": {"0": 0.4}}}) == "2 (all), 1 (1)"
     assert (
         markdown_table(table, ["thesis"]).splitlines()[2]
         == "| TNT | .960 (.981) | .500 | .600 (.592) |"

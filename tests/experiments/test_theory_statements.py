@@ -1,0 +1,74 @@
+"""Sentences of docs/theory.md whose numbers no table makes: each holds in the results."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+from statements import numbers_said, text_of
+
+from async_tnt.simulation.simulator import PixelModel
+from experiments.lessons.readings import SURE
+from experiments.tables.parts import results
+
+THEORY = text_of("docs/theory.md")
+said = partial(numbers_said, page=THEORY)
+
+
+def test_the_theory_tells_how_many_events_a_saccade_has():
+    found = results("fit_pixels")
+    recordings, events = said(
+        "(Saccades in # training recordings of N-MNIST have # events on average.)"
+    )
+    assert found["official_training_recordings"] == [1, recordings, recordings]
+    assert round(found["recorded"]["events per window"]) == events
+
+
+def test_the_theory_tells_which_constants_the_recordings_would_change():
+    deviations = results("fit_pixels")["deviations"]
+    present = deviations.pop("present")
+    said("no change of contrast, lens or thresholds by this factor is better.")
+    for name, value in deviations.items():
+        if name.startswith(("contrast", "blur_px", "threshold_")):
+            assert value > present, name
+    new_hz, old_hz, new_us, old_us = said(
+        "Noise of # Hz is better than #, and a refractory time of # us better than #."
+    )
+    pixels = PixelModel()
+    assert (pixels.noise_hz, pixels.refractory_us) == (old_hz, old_us)
+    assert deviations[f"noise_hz {new_hz:g}"] < present
+    assert deviations[f"refractory_us {new_us:g}"] < present
+    said(r"The recordings hardly tell $\gamma$ and the mismatch.")
+    for name, value in deviations.items():
+        if name.startswith(("gamma", "mismatch")):
+            assert abs(value - present) < 0.005, name
+
+
+def test_the_theory_tells_how_much_noise_a_line_has():
+    rows = {}
+    for landmark in ("running", "line"):
+        # the only rows without signs
+        row = re.findall(rf"\| `{landmark}` \|((?: [\d.]+ \|){{5}})", THEORY)
+        assert len(row) == 1
+        rows[landmark] = [float(cell) for cell in row[0].split(" |")[:5]]
+    (times,) = said("at the window's end it is # times that of `running`.")
+    assert round(rows["line"][-1] / rows["running"][-1], 1) == times
+    (px,) = said("both are the same to # px.")
+    assert abs(rows["line"][0] - rows["running"][0]) == pytest.approx(px)
+
+
+def test_the_theory_tells_how_sure_taught_networks_are_of_nothing():
+    before, level, least, most = said(
+        "without the new class # % of them end with a class that has # or more, with it # to # %",
+    )
+    assert level == SURE
+    digits = [entry for name, entry in results("teaching").items() if name.startswith("without")]
+    assert len(digits) == 10
+    assert round(100 * np.mean([digit["base"]["sure_of_nothing"] for digit in digits]), 1) == before
+    shares = []
+    for n in digits[0]["taught"]:
+        draws = [draw["sure_of_nothing"] for digit in digits for draw in digit["taught"][n]]
+        shares.append(round(100 * np.mean(draws), 1))
+    assert [min(shares), max(shares)] == [least, most]
