@@ -3,7 +3,8 @@
     python -m experiments.teaching [--nmnist N-MNIST] [--digits 4,6,...] [--out FOLDER]
                                    [--again | --fine | --settings] [--recordings 10,50]
                                    [--json FILE] [--quick]
-    python -m experiments.teaching --poker POKER-DVS [--out FOLDER] [--json FILE]
+    python -m experiments.teaching [--poker POKER-DVS] [--characters FOLDER] [--hands]
+                                   [--out FOLDER] [--json FILE]
 
 Each digit is left out in turn. `async-tnt train` with no option but the sensor's size trains on the
 nine others, from Train. Then `Model.with_class` teaches the tenth from 1, 5, 10 or 50 recordings of
@@ -15,8 +16,14 @@ further on all of them: four epochs, a quarter of the learning rate, the new log
 weights. --settings compares ridges, shares, margins and numbers of components on the recordings
 that training held out of Train; Test is not read.
 
---poker leaves out each suit of POKER-DVS in turn, teaches it from 1, 5 or 10 recordings, and trains
-on everything again with the first draw of 10. The folder has pips_train and pips_test.
+The second command does the same with other data sets, and trains on everything again with the
+first draw of the most recordings:
+
+poker       each suit of POKER-DVS, from 1, 5 or 10 recordings; the folder has pips_train and
+            pips_test
+characters  six of HOTS' characters, from the only recording of each that is not for the test; the
+            folder is made by `examples/hots_characters.py`
+hands       three of eight objects in made hand motion, from 1, 5 or 10 recordings
 
 Finished trainings in --out are kept, and interrupted trainings resume. FILE keeps the entries of
 other digits.
@@ -38,6 +45,7 @@ from async_tnt import Model, load_model, open_recording
 from async_tnt.networks.layers.graph import CLASSIFIER
 from async_tnt.training import dataset_data, fit, settings_for
 from experiments.digit_data.small_sets import write_small_nmnist
+from experiments.lessons.other_sets import OTHER_SETS, write_hands
 from experiments.lessons.place import N_DRAWS, Place, files_of, link, train
 from experiments.lessons.readings import (
     Part,
@@ -66,9 +74,6 @@ DIGITS = (4, 6, 2, 7, 3, 5, 9, 0, 8, 1)
 COMPARED = (10, 50)
 """Numbers of recordings with which networks are trained again."""
 
-POKER_COUNTS = (1, 5, 10)
-"""Numbers of recordings of a suit of POKER-DVS. Training learns from ten of the twelve."""
-
 N_OF_NOTHING = 100
 """Windows of each kind that shows no digit."""
 
@@ -83,7 +88,9 @@ def taught_numbers(place: Place, name: str, n_nothing: int) -> dict[str, Any]:
     reader = reader_of(model)
     order = [*model.classes, name]
     part = read_files(reader, {one: files_of(place.test / one) for one in order}, order)
-    nothing = read_nothing(reader, model, place.held_out(model.classes[0])[:10], n_nothing)
+    # a class with one recording has none that was held out
+    sample = place.held_out(model.classes[0]) or place.learned(model.classes[0])
+    nothing = read_nothing(reader, model, sample[:10], n_nothing)
 
     is_old = part.labels < len(model.classes)
     old = Part(chosen(part.readings, is_old), part.labels[is_old], part.recording[is_old])
@@ -203,7 +210,9 @@ def main(argv: list[str] | None = None) -> int:
     """Train, teach and test, print the tables, and write the report."""
     parser = script_parser("teaching", __doc__, "a made set and one epoch")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test (default: $TNT_DATA/nmnist)")
-    add_folder(parser, "--poker", "POKER-DVS, instead of N-MNIST")
+    for name in ("poker", "characters"):
+        add_folder(parser, f"--{name}", f"{OTHER_SETS[name].title}, instead of N-MNIST")
+    parser.add_argument("--hands", action="store_true", help="made hands, instead of N-MNIST")
     parser.add_argument(
         "--digits",
         type=_digits,
@@ -232,10 +241,8 @@ def main(argv: list[str] | None = None) -> int:
             options = ("--sensor", "34x34", "--epochs", "1")
             place = Place(nmnist / "Train", nmnist / "Test", Path(name) / "models", options)
             report = _measure(args, place, ["4"], 2)
-    elif args.poker is not None:
-        folders = (args.poker / "pips_train", args.poker / "pips_test")
-        place = Place(*folders, args.out / "poker", ("--sensor", "35x35"), POKER_COUNTS)
-        report = _measure_suits(args, place)
+    elif args.poker or args.characters or args.hands:
+        report = _measure_others(args)
     else:
         nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
         place = Place(nmnist / "Train", nmnist / "Test", args.out, ("--sensor", "34x34"))
@@ -267,15 +274,24 @@ def _measure(
     return report
 
 
-def _measure_suits(args: argparse.Namespace, place: Place) -> dict[str, Any]:
-    """Measure each suit of POKER-DVS. It is small, so everything is trained again at once."""
-    place.out.mkdir(parents=True, exist_ok=True)
+def _measure_others(args: argparse.Namespace) -> dict[str, Any]:
+    """Measure the sets that are asked for. They are small, so each is trained again at once."""
+    folders = {"poker": args.poker, "characters": args.characters}
+    if args.hands:
+        folders["hands"] = args.out / "hands" / "data"
+        write_hands(folders["hands"])
     report = {}
-    for name in place.classes:
-        numbers = taught_numbers(place, name, N_OF_NOTHING)
-        numbers["again"] = again_numbers(place, name, POKER_COUNTS[-1])
-        report[f"poker {name}"] = numbers
-        write_part(args, f"poker {name}", numbers)
+    for set_name, folder in folders.items():
+        if folder is None:
+            continue
+        other_set = OTHER_SETS[set_name]
+        place = other_set.place(folder, args.out / set_name)
+        place.out.mkdir(parents=True, exist_ok=True)
+        for name in other_set.left_out(place.classes):
+            numbers = taught_numbers(place, name, N_OF_NOTHING)
+            numbers["again"] = again_numbers(place, name, other_set.per_class[-1])
+            report[f"{set_name} {name}"] = numbers
+            write_part(args, f"{set_name} {name}", numbers)
     return report
 
 

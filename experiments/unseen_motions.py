@@ -60,13 +60,10 @@ from experiments.scripts.processes import command
 from experiments.speed.timing import machine
 from experiments.thesis.data import RealFolder, make_set, simulated_windows
 
-EIGHTHS = tuple(np.pi / 4 * np.arange(8))
-"""All directions of hand motion, in radians."""
-
 RIGHT = (0.0,)
 """The direction that is recorded."""
 
-OTHERS = EIGHTHS[1:]
+OTHERS = hands.DIRECTIONS[1:]
 """The directions that are not recorded."""
 
 OF_NMNIST = ("saccades", "volumes", "whole")
@@ -178,7 +175,7 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
             write_hands,
             160,
             40,
-            {**_modes(RIGHT, EIGHTHS, 25), **CHEAP_WAYS},
+            {**_modes(RIGHT, hands.DIRECTIONS, 25), **CHEAP_WAYS},
             {
                 "recorded motion": (RIGHT, write_hands),
                 "other motions": (OTHERS, write_hands),

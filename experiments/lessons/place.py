@@ -44,12 +44,17 @@ class Place:
         return sorted(folder.name for folder in self.train.iterdir() if folder.is_dir())
 
     def learned(self, name: str) -> list[Path]:
-        """The recordings of a class that training learns from: all but the last by number."""
+        """The recordings of a class that training learns from: all but the last by number.
+
+        The only recording of a class is learned from.
+        """
         files = files_of(self.train / name)
+        if len(files) == 1:
+            return files
         return files[: len(files) - max(1, round(HELD_OUT * len(files)))]
 
     def held_out(self, name: str) -> list[Path]:
-        """The other recordings of Train."""
+        """The other recordings of the training part."""
         return files_of(self.train / name)[len(self.learned(name)) :]
 
     def drawn(self, name: str, k: int, draw: int) -> list[Path]:

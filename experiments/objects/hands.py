@@ -27,6 +27,9 @@ from experiments.objects.pairs import in_order, pixel_events, write_classes
 SENSOR = (128, 128)
 """Width and height of the sensor, in pixels."""
 
+DIRECTIONS = tuple(np.pi / 4 * np.arange(8))
+"""All directions of motion, in radians."""
+
 WINDOW_US = 100_000
 """Length of a recording, in microseconds."""
 

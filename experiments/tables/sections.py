@@ -422,9 +422,9 @@ SECTIONS = (
             teaching.teaching: (
                 "New class / old classes / mean of ten; means over digits and five draws"
             ),
-            teaching.teaching_poker: (
-                "The same with each suit of POKER-DVS left out: 12 recordings of each to train "
-                "on, 5 to test"
+            teaching.teaching_others: (
+                "The same on other data sets: classes left out in turn, new class / old classes / "
+                "mean of all"
             ),
             teaching.teaching_by_digit: "Windows by the digit that was left out",
             teaching.teaching_costs: "What a taught class takes of others, and how sure it is",

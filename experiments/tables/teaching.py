@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.lessons.other_sets import OTHER_SETS
 from experiments.tables.parts import of_report, percent, table
 
 COMPARED = {"again": "everything again", "fine": "trained further"}
@@ -69,24 +70,32 @@ def teaching(report: dict[str, Any]) -> str:
 
 
 @of_report("teaching")
-def teaching_poker(report: dict[str, Any]) -> str:
-    """Suits of POKER-DVS: windows and recordings right; "" without them."""
-    suits = _with(report, "poker")
-    if not suits:
-        return ""
+def teaching_others(report: dict[str, Any]) -> str:
+    """Windows and recordings right on data sets beside N-MNIST; "" without them."""
     rows = []
-    base = [
-        f"- / {_share(entry['base'][key] for entry in suits)} / -"
-        for key in ("old", "old_recordings")
-    ]
-    rows.append(["network of three", *base])
-    for k in suits[0]["taught"]:
-        rows.append([f"taught, {k}", *_cells(lambda key, k=k: _taught(suits, k, key))])  # type: ignore[misc]
-    again = _cells(lambda key: [entry["again"][key] for entry in suits])
-    rows.append([f"everything again, {suits[0]['again']['k']}", *again])
-    first = _cells(lambda key: [entry["taught"]["10"][0][key] for entry in suits])
-    rows.append(["taught, 10, the same recordings", *first])
-    return table(("way, recordings of the new class", "windows", "recordings"), rows)
+    for name, other_set in OTHER_SETS.items():
+        entries = _with(report, name)
+        if not entries:
+            continue
+        n = str(len(entries))
+        base = [
+            f"- / {_share(entry['base'][key] for entry in entries)} / -"
+            for key in ("old", "old_recordings")
+        ]
+        rows.append([f"{other_set.title}: network without the class", n, *base])
+        for k in entries[0]["taught"]:
+            scores = _cells(lambda key, e=entries, k=k: _taught(e, k, key))  # type: ignore[misc]
+            rows.append([f"{other_set.title}: taught, {k}", n, *scores])
+        k = str(entries[0]["again"]["k"])
+        again = _cells(lambda key, e=entries: [entry["again"][key] for entry in e])  # type: ignore[misc]
+        rows.append([f"{other_set.title}: everything again, {k}", n, *again])
+        first = _cells(
+            lambda key, e=entries, k=k: [entry["taught"][k][0][key] for entry in e]  # type: ignore[misc]
+        )
+        rows.append([f"{other_set.title}: taught, {k}, the same recordings", n, *first])
+    if not rows:
+        return ""
+    return table(("way, recordings of the new class", "classes", "windows", "recordings"), rows)
 
 
 @of_report("teaching")

@@ -5,9 +5,11 @@ import pytest
 
 from async_tnt.networks.teaching.window_readings import Readings
 from experiments.digit_data.small_sets import write_small_nmnist
-from experiments.lessons.place import PER_CLASS, Place
+from experiments.lessons.other_sets import OTHER_SETS, write_hands
+from experiments.lessons.place import PER_CLASS, Place, files_of
 from experiments.lessons.readings import Part, chosen, sure_share
 from experiments.lessons.settings import SETTINGS
+from experiments.tables.teaching import teaching_others
 
 
 def test_scores_by_hand():
@@ -52,3 +54,45 @@ def test_settings_differ_from_the_first_in_one_value():
     for setting in SETTINGS[1:]:
         pairs = zip(vars(setting).values(), vars(SETTINGS[0]).values(), strict=True)
         assert sum(ours != theirs for ours, theirs in pairs) == 1
+
+
+def test_some_classes_of_other_sets_are_left_out(tmp_path):
+    assert OTHER_SETS["poker"].left_out(["he", "di"]) == ["he", "di"]
+    left_out = OTHER_SETS["characters"].left_out([str(i) for i in range(36)])
+    assert len(set(left_out)) == 6
+    for name, n in (("one", 1), ("two", 2)):
+        for i in range(n):
+            path = tmp_path / "Train" / name / f"{i}.npz"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+    place = OTHER_SETS["characters"].place(tmp_path, tmp_path / "models")
+    assert [len(place.learned(name)) for name in ("one", "two")] == [1, 1]
+    assert [len(place.held_out(name)) for name in ("one", "two")] == [0, 1]
+
+
+def test_hands_move_in_all_directions(tmp_path):
+    write_hands(tmp_path, {"train": 8, "test": 1})
+    place = OTHER_SETS["hands"].place(tmp_path, tmp_path / "models")
+    assert len(place.classes) == 8
+    assert len(files_of(place.train / place.classes[0])) == 8
+    assert len(files_of(place.test / place.classes[0])) == 1
+
+
+def test_other_sets_have_their_rows():
+    def scores(new):
+        row = dict.fromkeys(("old", "mean", "old_recordings", "mean_recordings"), 0.5)
+        return {**row, "new": new, "new_recordings": new}
+
+    entry = {
+        "base": scores(0.0),
+        "taught": {"1": [scores(0.1), scores(0.3)]},
+        "again": {"k": 1, **scores(0.9)},
+    }
+    assert teaching_others({"hands cup": entry}).splitlines()[2:] == [
+        "| made hands: network without the class | 1 | - / .500 / - | - / .500 / - |",
+        "| made hands: taught, 1 | 1 | .200 / .500 / .500 | .200 / .500 / .500 |",
+        "| made hands: everything again, 1 | 1 | .900 / .500 / .500 | .900 / .500 / .500 |",
+        "| made hands: taught, 1, the same recordings | 1 | .100 / .500 / .500 "
+        "| .100 / .500 / .500 |",
+    ]
+    assert teaching_others({}) == ""
