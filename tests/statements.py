@@ -18,7 +18,7 @@ def numbers_said(sentence: str, page: str) -> list[float]:
     A line break of the page counts as a space. The numbers are read from the page, so that a
     changed sentence is noticed as a changed result is.
     """
-    pattern = re.escape(sentence).replace(r"\#", r"([\d,]*\.?\d+)")
+    pattern = re.escape(sentence).replace(r"\#", r"([+-]?[\d,]*\.?\d+)")
     found = list(re.finditer(pattern, " ".join(page.split())))
     assert len(found) == 1, f"the page says this {len(found)} times: {sentence}"
     return [float(number.replace(",", "")) for number in found[0].groups()]

@@ -1,0 +1,88 @@
+"""Sentences of docs/thesis.md on the thesis' table: each holds in the results."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from statements import numbers_said, text_of
+
+from experiments.tables.differences import holds
+from experiments.thesis.table import recorded_networks, recorded_table
+
+said = partial(numbers_said, page=text_of("docs/thesis.md"))
+
+BRIGHT = ("sim bright", "centre bright", "bell bright", "bell centre bright")
+
+
+def differences(row, against):
+    """Column -> the recorded difference of two rows."""
+    return {
+        found["column"]: found
+        for found in recorded_table()["differences"]
+        if (found["row"], found["against"]) == (row, against)
+    }
+
+
+def three_digits(found):
+    return [round(difference["mean"], 3) for difference in found]
+
+
+def count_of(found):
+    """How many differences hold, and how many there are."""
+    return [sum(map(holds, found)), len(found)]
+
+
+def test_differences_to_the_baseline():
+    tnt = differences("thesis-tnt", "thesis-baseline")
+    regress = differences("thesis-regress", "thesis-baseline")
+    both = [*tnt.values(), *regress.values()]
+    gains = sum(holds(found) and found["mean"] > 0 for found in both)
+    n_holding, n = count_of(both)
+    numbers = said("of # differences to the Baseline, # hold: gains #, losses # ([which]")
+    assert numbers == [n, n_holding, gains, n_holding - gains]
+    lost = said("In all/all both transforms lose, by # and #")
+    assert lost == three_digits([{"mean": -found["all/all"]["mean"]} for found in (tnt, regress)])
+    assert min(lost) > 0
+    numbers = said(
+        "TNT # and # after training on all saccades, # and # after the first; TNT+regress # and #, "
+        "# and # ([which hold]"
+    )
+    columns = [f"{trained_on}/{test}" for trained_on in ("all", "1") for test in ("bell", "beyond")]
+    assert numbers == three_digits([rows[column] for rows in (tnt, regress) for column in columns])
+
+
+def test_what_running_adds_to_resynthesis():
+    found = differences("running-motions", "raw-motions")
+    bright = [found[f"1/{test}"] for test in BRIGHT]
+    elsewhere = [one for column, one in found.items() if column.partition("/")[2] not in BRIGHT]
+    numbers = said(
+        "`running` still adds # to # for bright digits after training with dark ones (# of # "
+        "differences hold), and # to # elsewhere (# of # hold)"
+    )
+    expected = []
+    for part in (bright, elsewhere):
+        expected += [min(three_digits(part)), max(three_digits(part)), *count_of(part)]
+    assert numbers == expected
+
+
+def test_where_a_line_is_better_than_untransformed_volumes():
+    numbers = said(
+        "is better than untransformed volumes in # of # columns, and # of these differences hold; "
+        "if training moves the windows, in # of #, and # hold."
+    )
+    expected = []
+    for row, against in (("line", "raw"), ("line-translated", "raw-translated")):
+        found = differences(row, against)
+        better = [one for one in found.values() if one["mean"] > 0]
+        expected += [len(better), len(found), sum(map(holds, better))]
+    assert numbers == expected
+
+
+def test_the_losses_of_two_values_of_t_max():
+    losses = {}
+    for network in recorded_networks():
+        if network["row"] in ("running", "running-t8"):
+            loss = network["validation"]["validation_loss"]
+            losses.setdefault(network["row"], {})[network["seed"]] = loss
+    numbers = said("of the first saccade its loss is #, that of t_max 8 # (one seed)")
+    assert numbers == [round(losses[row][0], 3) for row in ("running", "running-t8")]
