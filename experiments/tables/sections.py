@@ -604,7 +604,7 @@ SECTIONS = (
     Section(
         title="What a machine sustains",
         text=SUSTAINED,
-        command="experiments.sustained --seconds 60 --json experiments/results/sustained.json",
+        command="experiments.sustained --json experiments/results/sustained.json",
         tables={
             streams.sustained: "Delays under load",
         },

@@ -86,8 +86,8 @@ On each data set every input gets the same network, up to its first layer, and t
 steps. N-MNIST: trained on the first saccade, tested on all three ("1/all") or in 30 simulated
 motions ("1/sim"); 3,000 steps, t_max 2, translations; volumes are signed, images split by polarity,
 `line` has its flow removed. N-CARS: accuracy on the test part at the time given; six epochs,
-`--mirror`, TNT with t_max 3. A dash was not measured. Costs, on N-CARS: an event in the volume, and
-a decision after every event."""
+`--mirror`, TNT with t_max 3, no flow removed. A dash was not measured. Costs, on N-CARS: an event
+in the volume, and a decision after every event."""
 
 EARLY = """\
 The 1,000 test recordings of `digits`, a decision every 2.1 ms. Windows that do not reach a

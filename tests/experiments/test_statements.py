@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from functools import partial
 
+import numpy as np
 import pytest
 from statements import numbers_said, text_of
 
@@ -89,11 +90,17 @@ def test_published_networks_are_as_exact_and_as_fast_as_it_says():
     )
     assert round(exact[inexact], 4) == deviation
     assert round(zoo[inexact]["own_deviation"], 4) == of_torch
-    flow, least, most = said("gain little: EV-FlowNet #, U-Nets and their like # to #.")
+    least, most, flow, *small = said(
+        "those of segmentation-models-pytorch gain # to #, EV-FlowNet #, and small ones of papers "
+        "# to #."
+    )
     ratios = {name: row["speed"]["ratio"] for name, row in zoo.items() if row.get("speed")}
     assert round(ratios["EvFlowNet"], 1) == flow
     unets = [ratio for name, ratio in ratios.items() if name.startswith("segmentation/")]
     assert [round(min(unets), 1), round(max(unets), 1)] == [least, most]
+    of_papers = ("denoising_unet", "spike_flow_decoder", "event_depth", "ev_segnet")
+    gains = [ratios[name] for name in of_papers]
+    assert [round(min(gains), 1), round(max(gains))] == small
     slower, networks = said("In # of these # networks it takes longer than a pass of ONNX Runtime.")
     of_libraries = [ratio for name, ratio in ratios.items() if "/" in name]
     assert (sum(ratio < 1 for ratio in of_libraries), len(of_libraries)) == (slower, networks)
@@ -154,6 +161,20 @@ def test_windows_of_nothing_are_decided_as_often_as_it_says():
     assert said("at the ends .9 in #, # and # %.") == [
         round(100 * rows[kind]["decided"]) for kind in others
     ]
+
+
+def test_edges_along_the_motion_have_events_without_a_preferred_sign():
+    found = results("edges")
+    said("Edges within 15 degrees of the motion have a third of the events, where the cosine gives")
+    per_gradient = np.array(found["events_per_gradient"])
+    assert per_gradient[-1] / per_gradient[0] == pytest.approx(1 / 3, abs=0.04)
+    assert found["cosine"][-1] == pytest.approx(1 / 8, abs=0.01)
+    (percent,) = said("an eighth; # % of these events have the expected polarity.")
+    as_expected = np.array(found["polarity_as_expected"])
+    assert round(100 * as_expected[-1]) == percent
+    said("The difference of the two polarities is an eighth, too")
+    differences = per_gradient * (2 * as_expected - 1)
+    assert differences[-1] / differences[0] == pytest.approx(1 / 8, abs=0.01)
 
 
 def test_resynthesis_closes_most_of_the_gap_where_events_are_few():
