@@ -17,6 +17,7 @@ from async_tnt import CompiledClassifier, load_model
 from experiments.speed.work import work_of
 from experiments.tables.accuracy import share_closed
 from experiments.tables.parts import results
+from experiments.tables.thesis import unseen_motion
 
 said = partial(numbers_said, page=text_of("docs/results.md"))
 said_in_readme = partial(numbers_said, page=text_of("README.md"))
@@ -220,6 +221,12 @@ def test_windows_of_nothing_are_decided_as_often_as_it_says():
     assert said("at the ends .9 in #, # and # %.") == [
         round(100 * rows[kind]["decided"]) for kind in others
     ]
+
+
+def test_a_guess_in_two_of_three_saccades_is_right_as_often_as_it_says():
+    (right,) = said("a guess in the two others would have #.")
+    guesses = unseen_motion().splitlines()[-1]
+    assert float(guesses.split("|")[2]) == right
 
 
 def test_edges_along_the_motion_have_events_without_a_preferred_sign():
