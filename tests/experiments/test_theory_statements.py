@@ -10,7 +10,9 @@ import pytest
 from statements import numbers_said, text_of
 
 from async_tnt.simulation.simulator import PixelModel
+from async_tnt.training.settings import OFTEN
 from experiments.lessons.readings import SURE
+from experiments.motions.scene import Scene
 from experiments.tables.parts import results
 
 THEORY = text_of("docs/theory.md")
@@ -63,12 +65,54 @@ def test_the_theory_tells_how_sure_taught_networks_are_of_nothing():
     before, level, least, most = said(
         "without the new class # % of them end with a class that has # or more, with it # to # %",
     )
+    changed, without, at_most = said(
+        "The largest change is that of the digit # as the new class: # % without it, up to # % "
+        "with it",
+    )
     assert level == SURE
-    digits = [entry for name, entry in results("teaching").items() if name.startswith("without")]
+    found = results("teaching")
+    names = [name for name in found if name.startswith("without")]
+    digits = [found[name] for name in names]
     assert len(digits) == 10
     assert round(100 * np.mean([digit["base"]["sure_of_nothing"] for digit in digits]), 1) == before
-    shares = []
-    for n in digits[0]["taught"]:
-        draws = [draw["sure_of_nothing"] for digit in digits for draw in digit["taught"][n]]
-        shares.append(round(100 * np.mean(draws), 1))
-    assert [min(shares), max(shares)] == [least, most]
+    means = [
+        [np.mean([draw["sure_of_nothing"] for draw in draws]) for draws in digit["taught"].values()]
+        for digit in digits
+    ]
+    shares = np.round(100 * np.mean(means, axis=0), 1)
+    assert [shares.min(), shares.max()] == [least, most]
+    bases = np.array([digit["base"]["sure_of_nothing"] for digit in digits])
+    digit = int(np.abs(np.array(means) - bases[:, None]).max(axis=1).argmax())
+    assert names[digit] == f"without {changed:g}"
+    assert round(100 * bases[digit], 1) == without
+    assert round(100 * max(means[digit]), 1) == at_most
+
+
+def test_the_theory_tells_the_constants_of_the_simulator():
+    scene = Scene()
+    pixels = PixelModel()
+    assert said(
+        r"Contrast #, $\gamma = #$, $\sigma = #$ px, $C_+ = #$, $C_- = #$, mismatch #, refractory "
+        "time # us and noise of # Hz were fitted",
+    ) == [
+        scene.contrast,
+        scene.gamma,
+        scene.blur_px,
+        pixels.threshold_on,
+        pixels.threshold_off,
+        pixels.mismatch,
+        pixels.refractory_us,
+        pixels.noise_hz,
+    ]
+
+
+def test_the_theory_tells_what_the_rule_of_time_bins_was_seen_on():
+    counts, bins = said("one network each had # of its windows right with counts and # with bins")
+    found = results("recipes")
+    for name, share in (("counts", counts), ("5 bins", bins)):
+        numbers = found[f"nmnist, {name}, seed 0"]
+        assert round(numbers["per_window"], 3) == share
+    (recordings,) = said("held-out N-MNIST: # recordings of the project's Train")
+    assert numbers["windows"] == 3 * recordings
+    (least,) = said("five time bins where an active pixel has at least # events")
+    assert least == OFTEN
