@@ -11,6 +11,7 @@ from statements import numbers_said, text_of
 
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.training.settings import OFTEN
+from experiments import figure_laws
 from experiments.lessons.readings import SURE
 from experiments.motions.scene import Scene
 from experiments.tables.parts import results
@@ -26,6 +27,36 @@ def test_the_theory_tells_how_many_events_a_saccade_has():
     )
     assert found["official_training_recordings"] == [1, recordings, recordings]
     assert round(found["recorded"]["events per window"]) == events
+
+
+def test_the_theory_tells_which_errors_dense_layers_have():
+    about_centre = results("equivariance")["errors"]["TNT, center"]
+    flows = results("equivariance")["flows_px"]
+    hidden, logits, near_px, far_px = said(
+        "the errors of the hidden layer and of the logits are # and # for a digit that moved by # "
+        "pixels, and above 1 for one that moved by #."
+    )
+    near, far = (flows.index(2 * px) for px in (near_px, far_px))
+    assert round(about_centre["dense 1"][near], 2) == hidden
+    assert round(about_centre["logits"][near], 2) == logits
+    assert about_centre["dense 1"][far] > 1 and about_centre["logits"][far] > 1
+    (most,) = said("With the flow of `line` removed, all errors are below #.*")
+    errors = results("equivariance")["errors"]["TNT, line, flow removed"]
+    assert max(max(of_layer) for of_layer in errors.values()) < most
+
+
+def test_the_theory_tells_what_the_ridge_takes_from_the_flow():
+    found = re.findall(r"^\| ([\d,]+) \| ([\d.]+) \| [\d.]+ \| [\d.]+ \| [\d.]+ \|$", THEORY, re.M)
+    share_of_flow = {float(n.replace(",", "")): float(share) for n, share in found}
+    events, percent = said("At # events the fitted flow is # % too small.")
+    assert round(100 * (1 - share_of_flow[events]), 1) == percent
+
+
+def test_the_theory_tells_how_many_events_the_first_quarter_has():
+    (percent,) = said("Of all events it has # %.")
+    windows = figure_laws.sample_windows()
+    quarters = [figure_laws._quarter(window, k % 3 * 105_000) for k, window in enumerate(windows)]
+    assert round(100 * (np.concatenate(quarters) == 0).mean()) == percent
 
 
 def test_the_theory_tells_which_constants_the_recordings_would_change():
