@@ -231,7 +231,7 @@ def draw(report: dict[str, Any]) -> Any:
     tests = next(iter(recipes_of(report).values()))["tests"]
     end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
-    headline(figure, f"Test part, {len(tests)} networks")
+    headline(figure, f"Test part, {len(tests)} {'network' if len(tests) == 1 else 'networks'}")
     time_axes = axes_at(figure, LEFT, TOP, WIDTH, SIDE)
     level_axes = axes_at(figure, LEFT + STEP, TOP, WIDTH, SIDE)
     # others are known for N-CARS, not for a made set, which has no table of crops

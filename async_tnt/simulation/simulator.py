@@ -29,8 +29,8 @@ References
   Contrast Vision Sensor. From it is the pixel.
 - Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event Camera Simulator. From it are the times of
   events, by linear interpolation between frames. In ESIM, events in the refractory time are
-  dropped, and R stays. Here R follows the light. So it does in the pixel's circuit, whose capacitor
-  is shorted during the refractory time.
+  dropped, but R still moves by thresholds. Here R follows the light. So it does in the pixel's
+  circuit, whose capacitor is shorted during the refractory time.
 """
 
 from __future__ import annotations

@@ -165,7 +165,7 @@ def cars_in_short() -> str:
     head = [f"right after {ms} ms" for ms in SHORT_MS]
     sentence = (
         "On N-CARS' official test part, cars or background: networks on images of counts, without "
-        f"the transform, mean of {len(tests)}."
+        f"the transform, {'one network' if len(tests) == 1 else f'mean of {len(tests)}'}."
     )
     one_row = table([*head, "decisions a second, one after every event"], [[*shares, rate]])
     return f"{sentence}\n\n{one_row}"

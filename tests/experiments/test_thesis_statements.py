@@ -1,4 +1,4 @@
-"""Sentences of docs/thesis.md on the thesis' table: each holds in the results."""
+"""Sentences of docs/thesis.md: each holds in the results."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import partial
 from statements import numbers_said, text_of
 
 from experiments.tables.differences import holds
+from experiments.tables.parts import results
 from experiments.thesis.table import recorded_networks, recorded_table
 
 said = partial(numbers_said, page=text_of("docs/thesis.md"))
@@ -40,6 +41,8 @@ def test_differences_to_the_baseline():
     n_holding, n = count_of(both)
     numbers = said("of # differences to the Baseline, # hold: gains #, losses # ([which]")
     assert numbers == [n, n_holding, gains, n_holding - gains]
+    said("All gains are of *TNT+regress*, the only one of these rows whose training moves windows.")
+    assert not [found for found in tnt.values() if holds(found) and found["mean"] > 0]
     lost = said("In all/all both transforms lose, by # and #")
     assert lost == three_digits([{"mean": -found["all/all"]["mean"]} for found in (tnt, regress)])
     assert min(lost) > 0
@@ -83,6 +86,52 @@ def test_the_losses_of_two_values_of_t_max():
     for network in recorded_networks():
         if network["row"].startswith("running") and network["seed"] == 0:
             losses[network["row"]] = round(network["validation"]["validation_loss"], 3)
-    low, high = said("the loss is # for 2, 3 and 4, and # for 8 (one seed)")
+    low, high = said("the loss is # for 2, 3 and 4, and # for 8 (seed 0)")
     assert {losses[row] for row in ("running", "running-t3", "running-t4")} == {low}
     assert losses["running-t8"] == high
+
+
+def test_a_decision_after_one_event_and_after_many():
+    numbers = said(
+        "takes # µs after one new event (median) if decisions follow one another, and # µs if "
+        "other networks run in between; after # new events # and # µs."
+    )
+    found = results("decisions")["end_to_end"]
+    one, many = (
+        [round(found[n][way]["us"]["ours"]["median"]) for way in ("in_blocks", "call_by_call")]
+        for n in ("1", "1300")
+    )
+    assert numbers == [*one, 1300, *many]
+
+
+def test_windows_of_networks_trained_on_images():
+    share, n = said("know # of the windows of # recordings, a part of N-MNIST's official test")
+    networks = results("from_pictures")["nmnist"]["networks"]
+    shares = [network["window_accuracy"] for network in networks]
+    assert share == round(sum(shares) / len(shares), 3)
+    assert {network["recordings"] for network in networks} == {n}
+
+
+def test_simulated_digits_have_as_many_on_events():
+    numbers = said("# % of the simulated events are ON, and # % of the recorded ones")
+    statistics = results("simulated")["constant"]["statistics"]
+    shares = [statistics[name]["ON share"] for name in ("simulated", "N-MNIST")]
+    assert numbers == [round(share, 1) for share in shares]
+
+
+def test_recordings_of_the_table():
+    numbers = said("# recordings to train on and # to test on.")
+    for network in recorded_networks():
+        data = network["data"]
+        assert numbers == [data["training_recordings"], data["test_recordings"]]
+
+
+def test_events_of_edges_along_the_motion():
+    numbers = said(
+        "edges within 15° of the motion give # of the events, for each unit of gradient, that "
+        "edges across it give (the cosine: #), and # % of these have the expected polarity."
+    )
+    found = results("edges")
+    shares = [found[name][-1] / found[name][0] for name in ("events_per_gradient", "cosine")]
+    expected = [round(share, 2) for share in shares]
+    assert numbers == [*expected, round(100 * found["polarity_as_expected"][-1])]
