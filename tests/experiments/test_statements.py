@@ -223,6 +223,23 @@ def test_windows_of_nothing_are_decided_as_often_as_it_says():
     ]
 
 
+def test_on_cars_the_transform_costs_accuracy_most_of_it_early():
+    said(
+        "On N-CARS the transform costs accuracy against the untransformed volume, most of it early."
+    )
+    cars = results("cars")
+    raw, transformed = (
+        {
+            ms: mean(test["against_time_ms"][ms] for test in cars[f"equal_{name}"]["tests"])
+            for ms in ("10", "30", "50", "100")
+        }
+        for name in ("volume", "running")
+    )
+    losses = [raw[ms] - transformed[ms] for ms in raw]
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] > 0 and losses[0] > 2 * losses[1]
+
+
 def test_a_guess_in_two_of_three_saccades_is_right_as_often_as_it_says():
     (right,) = said("a guess in the two others would have #.")
     guesses = unseen_motion().splitlines()[-1]
