@@ -139,7 +139,8 @@ def test_published_networks_are_as_exact_and_as_fast_as_it_says():
     of_libraries = [speed for name, speed in speeds.items() if "/" in name]
     assert said(
         "In # of these # networks one event needs more than half of a whole pass. Over all 81, an "
-        "answer is # times as fast as a pass of ONNX Runtime in the median, and slower in # of them."
+        "answer is # times as fast as a pass of ONNX Runtime in the median, and slower in # of "
+        "them."
     ) == [
         sum(speed["share"] > 0.5 for speed in of_libraries),
         len(of_libraries),
