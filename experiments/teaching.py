@@ -290,6 +290,7 @@ def _measure_others(args: argparse.Namespace) -> dict[str, Any]:
         for name in other_set.left_out(place.classes):
             numbers = taught_numbers(place, name, N_OF_NOTHING)
             numbers["again"] = again_numbers(place, name, other_set.per_class[-1])
+            numbers["title"] = other_set.title
             report[f"{set_name} {name}"] = numbers
             write_part(args, f"{set_name} {name}", numbers)
     return report

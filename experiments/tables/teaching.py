@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from experiments.lessons.other_sets import OTHER_SETS
 from experiments.tables.parts import of_report, percent, table
 
 COMPARED = {"again": "everything again", "fine": "trained further"}
@@ -73,26 +72,27 @@ def teaching(report: dict[str, Any]) -> str:
 def teaching_others(report: dict[str, Any]) -> str:
     """Windows and recordings right on data sets beside N-MNIST; "" without them."""
     rows = []
-    for name, other_set in OTHER_SETS.items():
-        entries = _with(report, name)
-        if not entries:
-            continue
+    by_title: dict[str, list[dict[str, Any]]] = {}
+    for entry in report.values():
+        if "title" in entry:
+            by_title.setdefault(entry["title"], []).append(entry)
+    for title, entries in by_title.items():
         n = str(len(entries))
         base = [
             f"- / {_share(entry['base'][key] for entry in entries)} / -"
             for key in ("old", "old_recordings")
         ]
-        rows.append([f"{other_set.title}: network without the class", n, *base])
+        rows.append([f"{title}: network without the class", n, *base])
         for k in entries[0]["taught"]:
             scores = _cells(lambda key, e=entries, k=k: _taught(e, k, key))  # type: ignore[misc]
-            rows.append([f"{other_set.title}: taught, {k}", n, *scores])
+            rows.append([f"{title}: taught, {k}", n, *scores])
         k = str(entries[0]["again"]["k"])
         again = _cells(lambda key, e=entries: [entry["again"][key] for entry in e])  # type: ignore[misc]
-        rows.append([f"{other_set.title}: everything again, {k}", n, *again])
+        rows.append([f"{title}: everything again, {k}", n, *again])
         first = _cells(
             lambda key, e=entries, k=k: [entry["taught"][k][0][key] for entry in e]  # type: ignore[misc]
         )
-        rows.append([f"{other_set.title}: taught, {k}, the same recordings", n, *first])
+        rows.append([f"{title}: taught, {k}, the same recordings", n, *first])
     if not rows:
         return ""
     return table(("way, recordings of the new class", "classes", "windows", "recordings"), rows)

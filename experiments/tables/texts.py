@@ -387,7 +387,7 @@ Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency fro
 sender."""
 
 OTHER_PAGES = """\
-[The page of results](../docs/results.md#pictures-alone) shows what `python -m
-experiments.official_test --at-hand` and `python -m experiments.published_weights WEIGHTS` measure.
-[The theory](../docs/theory.md#what-came-from-recordings) shows what `python -m
-experiments.fit_pixels` and `python -m experiments.same_bits` do."""
+[The page of results](../docs/results.md#pictures-alone) shows what the commands `official_test`
+(with `--at-hand`) and `published_weights` measure, [the
+theory](../docs/theory.md#what-came-from-recordings) what `fit_pixels` does and what [`same_bits`
+compares](../docs/theory.md#stream-equals-batch)."""

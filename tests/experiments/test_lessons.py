@@ -84,6 +84,7 @@ def test_other_sets_have_their_rows():
         return {**row, "new": new, "new_recordings": new}
 
     entry = {
+        "title": "made hands",
         "base": scores(0.0),
         "taught": {"1": [scores(0.1), scores(0.3)]},
         "again": {"k": 1, **scores(0.9)},
