@@ -122,10 +122,10 @@ def test_simulated_digits_have_as_many_on_events():
 
 
 def test_recordings_of_the_table():
-    numbers = said("# recordings to train on and # to test on.")
+    numbers = said("# recordings to train on, # held out, # to test on.")
+    names = ("training_recordings", "held_out_recordings", "test_recordings")
     for network in recorded_networks():
-        data = network["data"]
-        assert numbers == [data["training_recordings"], data["test_recordings"]]
+        assert numbers == [network["data"][name] for name in names]
 
 
 def test_events_of_edges_along_the_motion():
