@@ -50,10 +50,11 @@ def test_differences_to_the_baseline():
     assert min(lost) > 0
     numbers = said(
         "TNT # and # after training on all saccades, # and # after the first; TNT+regress # and #, "
-        "# and # ([which hold]"
+        "# and # ([# of these # hold]"
     )
     columns = [f"{trained_on}/{test}" for trained_on in ("all", "1") for test in ("bell", "beyond")]
-    assert numbers == three_digits([rows[column] for rows in (tnt, regress) for column in columns])
+    found = [rows[column] for rows in (tnt, regress) for column in columns]
+    assert numbers == [*three_digits(found), *count_of(found)]
 
 
 def test_what_running_adds_to_resynthesis():
@@ -73,7 +74,8 @@ def test_what_running_adds_to_resynthesis():
 def test_where_a_line_is_better_than_untransformed_volumes():
     numbers = said(
         "is better than untransformed volumes in # of # columns, and # of these differences hold; "
-        "if training moves the windows, in # of #, and # hold."
+        "if training moves the windows, in # of #, the simulated ones, and # hold; with recordings it "
+        "is worse then."
     )
     expected = []
     for row, against in (("line", "raw"), ("line-translated", "raw-translated")):
@@ -81,6 +83,8 @@ def test_where_a_line_is_better_than_untransformed_volumes():
         better = [one for one in found.values() if one["mean"] > 0]
         expected += [len(better), len(found), sum(map(holds, better))]
     assert numbers == expected
+    worse = {column for column, one in found.items() if one["mean"] < 0}
+    assert worse == {"1/all", "1/others", "1/train"}
 
 
 def test_the_losses_of_two_values_of_t_max():
