@@ -74,8 +74,8 @@ def test_what_running_adds_to_resynthesis():
 def test_where_a_line_is_better_than_untransformed_volumes():
     numbers = said(
         "is better than untransformed volumes in # of # columns, and # of these differences hold; "
-        "if training moves the windows, in # of #, the simulated ones, and # hold; with recordings it "
-        "is worse then."
+        "if training moves the windows, in # of #, the simulated ones, and # hold; with recordings "
+        "it is worse then."
     )
     expected = []
     for row, against in (("line", "raw"), ("line-translated", "raw-translated")):
