@@ -84,8 +84,10 @@ from tnt_reference import Classifier
 step("import")
 torch.set_num_threads(1)
 tensors = load_file(arguments["model"])
-weights = {name: w for name, w in tensors.items() if not name.startswith("regressor.")}
-widths = tuple(len(weights[layer + ".bias"]) for layer in ("conv1", "conv2", "fc1"))
+layers = ("conv1", "conv2", "fc1", "fc2")
+# the file also has statistics of the classes
+weights = {name: w for name, w in tensors.items() if name.partition(".")[0] in layers}
+widths = tuple(len(weights[layer + ".bias"]) for layer in layers[:3])
 channels, height, width = arguments["shape"][1:]
 network = Classifier(channels, (width, height), len(weights["fc2.bias"]), widths).eval()
 network.load_state_dict(weights)
