@@ -416,7 +416,10 @@ SECTIONS = (
             "experiments/results/teaching.json\n"
             "experiments.teaching --digits 4,6 --fine --recordings 10 --json "
             "experiments/results/teaching.json\n"
-            "experiments.teaching --digits 4,6 --settings --json experiments/results/teaching.json"
+            "experiments.teaching --digits 4,6 --settings --json "
+            "experiments/results/teaching.json\n"
+            "experiments.teaching --poker POKER-DVS --characters characters --json "
+            "experiments/results/teaching.json"
         ),
         tables={
             teaching.teaching: (

@@ -345,6 +345,29 @@ def test_teaching_is_no_worse_than_training_that_costs_minutes():
     assert round(means[0], 3) == round(np.mean(means), 3) == of_taught
 
 
+def test_on_small_sets_teaching_loses_more():
+    report = results("teaching")
+
+    def mean_of(prefix, way, key):
+        entries = [entry for name, entry in report.items() if name.startswith(prefix)]
+        if way == "again":
+            return round(np.mean([entry["again"][key] for entry in entries]), 3)
+        return round(np.mean([[d[key] for d in entry["taught"][way]] for entry in entries]), 3)
+
+    old, old_again, new = said(
+        "each suit taught from ten recordings: # of the windows of the old classes are right, "
+        "after training again #; of the new class # in both."
+    )
+    ways = ("10", "again")
+    assert [mean_of("poker", way, "old") for way in ways] == [old, old_again]
+    assert {mean_of("poker", way, "new") for way in ways} == {new}
+    numbers = said("taught from one recording: # and #, of the new class # and #.")
+    ways = ("1", "again")
+    found = [mean_of("characters", way, key) for key in ("old", "new") for way in ways]
+    assert numbers == found
+    assert sum(name.startswith("characters") for name in report) == 6
+
+
 def test_objects_on_a_large_sensor_are_found():
     (bundled,) = results("everywhere")["models"]
     rows = {
