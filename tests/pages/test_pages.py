@@ -118,7 +118,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     if title == "Archives":
         assert len(session["results"]) == 10 and session["wrong"] == {}
     if title == "N-MOVING-MNIST":
-        assert printed.startswith("036deg-5px 9 ")
+        assert printed.startswith("036deg-5px 7 ")
         assert session["total"] > len(session["events"]) > 10
 
 
