@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,23 @@ def teaching(report: dict[str, Any]) -> str:
     return table(head, [["network of nine", str(len(digits)), *base], *rows])
 
 
+def _ways_of(entries: list[dict[str, Any]]) -> list[tuple[str, list[str]]]:
+    """Pairs of a way and its cells, for the classes of a set that were left out."""
+    base = [
+        f"- / {_share(entry['base'][key] for entry in entries)} / -"
+        for key in ("old", "old_recordings")
+    ]
+    ways = [("network without the class", base)]
+    for k in entries[0]["taught"]:
+        ways.append((f"taught, {k}", _cells(partial(_taught, entries, k))))
+    most = str(entries[0]["again"]["k"])
+    again = _cells(lambda key: [entry["again"][key] for entry in entries])
+    ways.append((f"everything again, {most}", again))
+    first = _cells(lambda key: [entry["taught"][most][0][key] for entry in entries])
+    ways.append((f"taught, {most}, the same recordings", first))
+    return ways
+
+
 @of_report("teaching")
 def teaching_others(report: dict[str, Any]) -> str:
     """Windows and recordings right on data sets beside N-MNIST; "" without them."""
@@ -77,22 +95,8 @@ def teaching_others(report: dict[str, Any]) -> str:
         if "title" in entry:
             by_title.setdefault(entry["title"], []).append(entry)
     for title, entries in by_title.items():
-        n = str(len(entries))
-        base = [
-            f"- / {_share(entry['base'][key] for entry in entries)} / -"
-            for key in ("old", "old_recordings")
-        ]
-        rows.append([f"{title}: network without the class", n, *base])
-        for k in entries[0]["taught"]:
-            scores = _cells(lambda key, e=entries, k=k: _taught(e, k, key))  # type: ignore[misc]
-            rows.append([f"{title}: taught, {k}", n, *scores])
-        k = str(entries[0]["again"]["k"])
-        again = _cells(lambda key, e=entries: [entry["again"][key] for entry in e])  # type: ignore[misc]
-        rows.append([f"{title}: everything again, {k}", n, *again])
-        first = _cells(
-            lambda key, e=entries, k=k: [entry["taught"][k][0][key] for entry in e]  # type: ignore[misc]
-        )
-        rows.append([f"{title}: taught, {k}, the same recordings", n, *first])
+        for way, cells in _ways_of(entries):
+            rows.append([f"{title}: {way}", str(len(entries)), *cells])
     if not rows:
         return ""
     return table(("way, recordings of the new class", "classes", "windows", "recordings"), rows)
